@@ -1,0 +1,30 @@
+# Two commands do everything, set-up included:  make demo   make test
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.PHONY: demo test env lint types layers unit clean
+
+demo: env
+	$(BIN)/ppshw demo --out demo-out
+
+test: lint types layers unit
+
+env: $(STAMP)
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+lint: env
+	$(BIN)/ruff check .
+types: env
+	$(BIN)/mypy
+layers: env
+	$(BIN)/lint-imports
+unit: env
+	$(BIN)/pytest -n 2
+
+clean:
+	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

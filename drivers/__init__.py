@@ -1,0 +1,1 @@
+"""Drivers: one file per wire protocol. Each knows only its port, a clock and its own wire."""

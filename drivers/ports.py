@@ -1,0 +1,178 @@
+"""What the campaign needs of a device, as Protocols. A new instrument is one more file that fits one of these.
+
+Time is handed in as a `Clock`: on site it is the wall clock; in tests it is stepped by hand, so that nothing sleeps.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Clock(Protocol):
+    """Seconds of machine time. Waiting for a message takes real time; waiting for a motion takes machine time."""
+
+    def now(self) -> float:
+        """Monotonic seconds."""
+
+    def utc(self) -> datetime:
+        """The time of day, timezone-aware, that goes with now()."""
+
+    def sleep(self, seconds: float) -> None: ...
+
+    def wait_for(
+        self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float
+    ) -> bool:
+        """Wait on a held condition until predicate() or until `timeout` seconds of machine time have passed."""
+
+
+class WallClock:
+    """Real time; `speed` > 1 runs a simulated plant in another process faster than real time."""
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = speed
+        self._monotonic_0 = time.monotonic()
+        self._utc_0 = time.time()
+
+    def now(self) -> float:
+        return (time.monotonic() - self._monotonic_0) * self.speed
+
+    def utc(self) -> datetime:
+        return datetime.fromtimestamp(self._utc_0 + self.now(), UTC)
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(max(0.0, seconds) / self.speed)
+
+    def wait_for(
+        self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float
+    ) -> bool:
+        return condition.wait_for(predicate, max(0.0, timeout) / self.speed)
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """Who a device says it is and how it is; what `ppshw check` prints."""
+
+    device: str
+    model: str
+    serial: str
+    firmware: str
+    status: str
+
+
+@dataclass(frozen=True)
+class MoveReport:
+    """How a group move ended.
+
+    positions   joint value per axis at rest, encoder, SI
+    approach    −1, 0, 1 per axis: direction of the axis' last motion (0: has not moved yet)
+    ended_at    Clock.now() when the last axis came to rest (start of the settle window)
+    """
+
+    positions: Mapping[str, float]
+    approach: Mapping[str, int]
+    ended_at: float
+
+
+class AxisGroup(Protocol):
+    """All axes of a machine; one fault stops them all."""
+
+    names: Sequence[str]
+
+    def check(self) -> list[DeviceInfo]:
+        """Connect and say who and how each drive is; enables and moves nothing."""
+
+    def start(self) -> None:
+        """Check identities, write and read back the configuration, start supervision, enable, home if needed."""
+
+    def move(self, setpoints: Mapping[str, float]) -> MoveReport:
+        """Drive to the setpoints, all axes starting together; returns when all are settled."""
+
+    def positions(self) -> dict[str, float]: ...
+
+    def raise_if_faulty(self) -> None:
+        """Raise the HardwareError that supervision has found since the last call, if any."""
+
+    def quick_stop(self) -> None:
+        """Stop every axis now; never raises."""
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    temperature_c: float
+    pressure_hpa: float
+    humidity_pct: float
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One measured target.
+
+    target       the name asked for
+    xyz          (3,) position in the tracker's frame, corrected for the atmosphere  [m]
+    raw          the instrument's own numbers (angles [rad], distance [m], …), before any correction
+    ppm          the refraction correction that was applied on the host, parts per million
+    atmosphere   what the air was when it was applied
+    """
+
+    target: str
+    xyz: Array
+    raw: Mapping[str, float]
+    ppm: float
+    atmosphere: Atmosphere
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+
+class Tracker(Protocol):
+    name: str
+
+    def check(self) -> DeviceInfo: ...
+
+    def start(self) -> None: ...
+
+    def set_atmosphere(self, atmosphere: Atmosphere) -> None: ...
+
+    def measure(self, target: str, expected: Array) -> Shot:
+        """Point at `expected` (3,) [m, tracker frame], lock on, measure. Raises BeamLost when nothing is found there."""
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class WrenchReading:
+    """wrench (6,) median over `samples` frames [N, N·m]; spread (6,) their standard deviation."""
+
+    wrench: Array
+    spread: Array
+    samples: int
+    temperature_c: float | None = None
+
+
+class ForceSensor(Protocol):
+    name: str
+
+    def check(self) -> DeviceInfo: ...
+
+    def start(self) -> None: ...
+
+    def read(self) -> WrenchReading:
+        """Payload wrench on the sensor, sensor frame. Raises SensorOverrange, ProtocolError, HardwareTimeout."""
+
+    def close(self) -> None: ...
+
+
+class Thermometer(Protocol):
+    """Places and their temperatures in °C; a recording gets one `temp_<place>_C` column each."""
+
+    def read(self) -> Mapping[str, float]: ...
