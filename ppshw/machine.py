@@ -1,0 +1,244 @@
+"""Machine file → Machine. The file's form is fixed by the contract; see docs/machine-file.md.
+
+Joints run from base to tip and mean what they mean in URDF. A file is read strictly: unknown keys, wrong types,
+duplicate names and axes that are no unit vectors are errors that name file, line and key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.errors import MachineFileError
+from ppshw.strict_yaml import Section, read_yaml
+from ppshw.transforms import from_xyz_rpy
+
+Array = NDArray[np.float64]
+WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """lower, upper [m or rad]; velocity [m/s or rad/s]; acceleration [m/s² or rad/s²]; None where not given."""
+
+    lower: float
+    upper: float
+    velocity: float | None
+    acceleration: float | None
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """Which wrench components act on a link, and whether its compliance depends on the joint's own position."""
+
+    loads: tuple[str, ...]
+    varies: bool
+
+    @property
+    def load_indices(self) -> list[int]:
+        return [WRENCH_COMPONENTS.index(name) for name in self.loads]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """origin  (4, 4) joint frame in the previous link frame at q = 0; axis (3,) unit vector in the joint frame.
+    mass [kg] and com (3,) [m] of the body this joint moves, in the joint frame after motion."""
+
+    name: str
+    prismatic: bool
+    origin: Array
+    axis: Array
+    limits: Limits | None
+    mass: float
+    com: Array
+    elastic: Elastic | None
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.prismatic else "rad"
+
+
+@dataclass(frozen=True)
+class TrackerModel:
+    """position_sigma [m] per coordinate; base (4, 4) measuring frame in the base frame, None: to be estimated;
+    targets_known: are the target positions trusted or only a start."""
+
+    position_sigma: float
+    base: Array | None
+    targets_known: bool
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A serial chain of n joints with a tip, targets on it and what is known of its load path.
+
+    gravity (3,) in the base frame [m/s²]; tip_in_link (4, 4) end-effector frame in the last link frame; targets and
+    points: name → (3,) in the end-effector frame [m]; sensor_in_link (4, 4) force sensor in the last link frame.
+    """
+
+    name: str
+    gravity: Array
+    joints: tuple[Joint, ...]
+    tip_in_link: Array
+    targets: dict[str, Array]
+    points: dict[str, Array]
+    sensor_in_link: Array
+    repeatability: float | None
+    tracker: TrackerModel
+    file: str
+    sha256: str
+
+    @property
+    def n(self) -> int:
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(j.name for j in self.joints)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Frames F_0 … F_n: the base, then one per joint."""
+        return ("base", *self.joint_names)
+
+    @property
+    def target_array(self) -> Array:
+        """(T, 3) target positions in the end-effector frame, in the file's order."""
+        return np.array(list(self.targets.values()))
+
+    def point(self, name: str) -> Array:
+        """A named point in the end-effector frame: the `tip` itself, a target or another point of interest."""
+        if name == "tip":
+            return np.zeros(3)
+        if name in self.points:
+            return self.points[name]
+        if name in self.targets:
+            return self.targets[name]
+        known = ", ".join(["tip", *self.points, *self.targets])
+        raise MachineFileError(f"{self.file}: no point named '{name}' (there are: {known})")
+
+    def limits(self) -> tuple[Array, Array]:
+        """(n,) lower and upper; infinite where the file gives none."""
+        lower = [j.limits.lower if j.limits else -math.inf for j in self.joints]
+        upper = [j.limits.upper if j.limits else math.inf for j in self.joints]
+        return np.array(lower), np.array(upper)
+
+    def with_targets(self, targets: dict[str, Array]) -> Machine:
+        return replace(self, targets=targets)
+
+
+def load_machine(path: Path | str) -> Machine:
+    """Read and check a machine file. Raises MachineFileError: one line with file, line, key and what was expected."""
+    top = read_yaml(path, MachineFileError)
+    name = top.text("name")
+    gravity = top.vector("gravity", 3)
+    joints = _joints(top)
+    tip = top.need("tip")
+    tip_in_link = _origin(tip)
+    targets = _named_points(tip, "targets")
+    if not targets:
+        tip.fail(f"'{tip.path('targets')}' is empty, expected at least one target", "targets")
+    points = _named_points(tip, "points", optional=True)
+    for twin in set(points) & set(targets):
+        tip.fail(f"'{twin}' is both a target and a point", "points")
+    tip.done()
+    sensor_in_link = np.eye(4)
+    if (sensor := top.section("force_sensor", optional=True)) is not None:
+        sensor_in_link = _origin(sensor)
+        sensor.done()
+    repeatability = None
+    if (section := top.section("repeatability", optional=True)) is not None:
+        repeatability = section.number("position", low=0.0)
+        section.done()
+    tracker = _tracker(top)
+    top.done()
+    return Machine(
+        name, gravity, joints, tip_in_link, targets, points, sensor_in_link, repeatability, tracker,
+        str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest(),
+    )  # fmt: skip
+
+
+def _joints(top: Section) -> tuple[Joint, ...]:
+    sections = top.sections("joints")
+    if not 1 <= len(sections) <= 12:
+        top.fail(f"'joints' has {len(sections)} entries, expected 1 to 12", "joints")
+    joints: list[Joint] = []
+    for section in sections:
+        joint = _joint(section)
+        if joint.name in [j.name for j in joints] or joint.name == "base":
+            section.fail(f"joint name '{joint.name}' is used twice or reserved", "name")
+        joints.append(joint)
+    return tuple(joints)
+
+
+def _joint(section: Section) -> Joint:
+    name = section.text("name")
+    kind = section.text("type", choices=("prismatic", "revolute"))
+    origin = _origin(section)
+    axis = section.vector("axis", 3)
+    length = float(np.linalg.norm(axis))
+    if abs(length - 1.0) > 1e-6:
+        section.fail(f"'{section.path('axis')}' has length {length:g}, expected a unit vector", "axis")
+    limits = _limits(section)
+    mass, com = 0.0, np.zeros(3)
+    if (link := section.section("link", optional=True)) is not None:
+        mass, com = link.number("mass", low=0.0), link.vector("com", 3, default=(0, 0, 0))
+        link.done()
+    elastic = None
+    if (found := section.section("elastic", optional=True)) is not None:
+        elastic = Elastic(
+            tuple(found.texts("loads", choices=WRENCH_COMPONENTS)), found.flag("varies", default=False)
+        )
+        found.done()
+    section.done()
+    return Joint(name, kind == "prismatic", origin, axis / length, limits, mass, com, elastic)
+
+
+def _limits(section: Section) -> Limits | None:
+    found = section.section("limits", optional=True)
+    if found is None:
+        return None
+    lower, upper = found.number("lower"), found.number("upper")
+    if not lower < upper:
+        found.fail(f"'{found.path('lower')}' {lower:g} is not below '{found.path('upper')}' {upper:g}", "lower")
+    speeds = [found.number(key, default=None, low=1e-9) for key in ("velocity", "acceleration")]
+    found.done()
+    return Limits(lower, upper, *speeds)
+
+
+def _origin(section: Section) -> Array:
+    found = section.section("origin", optional=True)
+    return np.eye(4) if found is None else _placement(found)
+
+
+def _placement(found: Section) -> Array:
+    out = from_xyz_rpy(found.vector("xyz", 3, default=(0, 0, 0)), found.vector("rpy", 3, default=(0, 0, 0)))
+    found.done()
+    return out
+
+
+def _named_points(tip: Section, key: str, optional: bool = False) -> dict[str, Array]:
+    found = tip.section(key, optional=optional)
+    if found is None:
+        return {}
+    out = {name: found.vector(name, 3) for name in found.keys()}  # noqa: SIM118
+    found.done()
+    return out
+
+
+def _tracker(top: Section) -> TrackerModel:
+    section = top.section("tracker", optional=True)
+    if section is None:
+        return TrackerModel(2.0e-5, np.eye(4), True)
+    sigma = section.number("position_sigma", default=2.0e-5, low=1e-9)
+    base: Array | None = np.eye(4)
+    if "base" in section:
+        base = None if section.plain("base") == "estimate" else _placement(section.need("base"))
+    known = section.text("targets", default="known", choices=("known", "estimate")) == "known"
+    section.done()
+    return TrackerModel(sigma, base, known)

@@ -1,0 +1,306 @@
+"""What a campaign measured: visits as arrays. The one language that the bench and the model side both speak.
+
+A recording is a SQLite file while the campaign runs and a CSV for interchange; both hold the same table of texts, one
+row per visit, so that import and export lose nothing. `load_recording` reads either and checks every value.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.errors import RecordingError
+from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.recording_file import RecordingFile, is_sqlite
+
+Array = NDArray[np.float64]
+# A setpoint may stand this far outside its limit before it counts: the text of a file has few decimals.
+LIMIT_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Table:
+    """The recording as text: header, rows and where each row stood (for messages)."""
+
+    source: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+
+    def csv_text(self) -> str:
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(self.header)
+        writer.writerows(self.rows)
+        return out.getvalue()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """N visits of a machine of n joints with T targets.
+
+    time         (N,)      seconds since 1970 UTC, nan where unknown
+    step, load   (N,)      labels
+    q, q_cmd     (N, n)    encoder positions and commanded setpoints            [m, rad]
+    approach     (N, n)    −1, 0, 1: direction of each joint's last motion
+    settle_s     (N,)      time between end of motion and measurement, nan where unknown
+    wrench       (N, 6)    payload on the sensor, sensor frame; 0 without columns   [N, N·m]
+    points       (N, T, 3) measured targets in the measuring frame, nan where lost  [m]
+    extra_points name → (N, 3) measured reflectors at points of interest (tip.points)   [m]
+    temperatures place → (N,)  [°C];  covariates name → (N,)
+    sha256       of the canonical CSV text, the same for both forms
+    """
+
+    joint_names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    time: Array
+    step: tuple[str, ...]
+    load: tuple[str, ...]
+    q: Array
+    q_cmd: Array
+    approach: NDArray[np.int64]
+    settle_s: Array
+    wrench: Array
+    points: Array
+    extra_points: dict[str, Array]
+    temperatures: dict[str, Array]
+    covariates: dict[str, Array]
+    has_approach: bool
+    has_wrench: bool
+    source: str
+    sha256: str
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(N, T) whether a target was measured."""
+        return np.asarray(np.isfinite(self.points).all(axis=2))
+
+    def subset(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> Recording:
+        """The visits that `which` (a mask or indices) selects."""
+        rows = np.arange(len(self))[which]
+        return replace(
+            self,
+            time=self.time[rows],
+            step=tuple(self.step[k] for k in rows),
+            load=tuple(self.load[k] for k in rows),
+            q=self.q[rows],
+            q_cmd=self.q_cmd[rows],
+            approach=self.approach[rows],
+            settle_s=self.settle_s[rows],
+            wrench=self.wrench[rows],
+            points=self.points[rows],
+            extra_points={k: v[rows] for k, v in self.extra_points.items()},
+            temperatures={k: v[rows] for k, v in self.temperatures.items()},
+            covariates={k: v[rows] for k, v in self.covariates.items()},
+        )
+
+
+def columns_for(
+    machine: Machine, places: Sequence[str] = (), extra_points: Sequence[str] = (), covariates: Sequence[str] = ()
+) -> list[str]:
+    """The contract's columns, in its order, for a recording of this machine."""
+    joints = machine.joint_names
+    out = ["time", "step", "load"]
+    out += [f"q_cmd_{j}" for j in joints] + [f"q_{j}" for j in joints] + [f"approach_{j}" for j in joints]
+    out += ["settle_s", *WRENCH_COMPONENTS]
+    out += [f"{t}_{axis}" for t in (*machine.targets, *extra_points) for axis in "xyz"]
+    out += [f"temp_{p}_C" for p in places] + [f"cov_{c}" for c in covariates]
+    return out
+
+
+def read_table(path: Path | str) -> Table:
+    """The texts of a recording, either form. Raises RecordingError on a missing, empty or broken file."""
+    path = Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such recording")
+    if path.stat().st_size == 0:
+        raise RecordingError(f"{path}: the file is empty")
+    if is_sqlite(path):
+        with RecordingFile.open(path, readonly=True) as file:
+            header, rows = file.table()
+        if not rows:
+            raise RecordingError(f"{path}: the recording holds no visit yet")
+        return Table(str(path), header, rows, tuple(range(1, len(rows) + 1)))
+    return _read_csv(path)
+
+
+def load_recording(path: Path | str, machine: Machine) -> Recording:
+    """Read and check a recording. Raises RecordingError naming file, line and column."""
+    return parse_table(read_table(path), machine)
+
+
+def parse_table(table: Table, machine: Machine) -> Recording:
+    """Check every value of a table against the machine. Raises RecordingError; see `load_recording`."""
+    cells = _Cells(table)
+    joints = machine.joint_names
+    for j in joints:
+        if f"q_{j}" not in cells and f"q_cmd_{j}" not in cells:
+            raise RecordingError(
+                f"{table.source}: no column q_{j} or q_cmd_{j}; is this a recording of machine '{machine.name}'?"
+            )
+    q_cmd = np.column_stack([cells.numbers(f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}") for j in joints])
+    q = np.column_stack(
+        [cells.numbers(f"q_{j}", fallback=q_cmd[:, k]) if f"q_{j}" in cells else q_cmd[:, k]
+         for k, j in enumerate(joints)]
+    )  # fmt: skip
+    _check_limits(cells, machine, q_cmd)
+    points = np.stack([cells.point(t) for t in machine.targets], axis=1)
+    if not any(f"{t}_x" in cells for t in machine.targets):
+        first = next(iter(machine.targets))
+        raise RecordingError(f"{table.source}: no column for any target of the machine, expected e.g. {first}_x")
+    has_wrench = any(c in cells for c in WRENCH_COMPONENTS)
+    wrench = np.zeros((len(table.rows), 6))
+    if has_wrench:
+        wrench = np.column_stack([cells.numbers(c) for c in WRENCH_COMPONENTS])
+    has_approach = any(f"approach_{j}" in cells for j in joints)
+    approach = np.column_stack([cells.approach(f"approach_{j}") for j in joints])
+    unknown = np.full(len(table.rows), math.nan)
+    return Recording(
+        joint_names=joints,
+        target_names=tuple(machine.targets),
+        time=cells.times("time") if "time" in cells else unknown,
+        step=cells.texts("step"),
+        load=cells.texts("load"),
+        q=q,
+        q_cmd=q_cmd,
+        approach=approach,
+        settle_s=cells.numbers("settle_s", fallback=unknown) if "settle_s" in cells else unknown,
+        wrench=wrench,
+        points=points,
+        extra_points={p: cells.point(p) for p in machine.points if f"{p}_x" in cells},
+        temperatures={n[5:-2]: cells.numbers(n, fallback=unknown) for n in table.header
+                      if n.startswith("temp_") and n.endswith("_C")},
+        covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in table.header if n.startswith("cov_")},
+        has_approach=has_approach,
+        has_wrench=has_wrench,
+        source=table.source,
+        sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
+    )  # fmt: skip
+
+
+def _check_limits(cells: _Cells, machine: Machine, q_cmd: Array) -> None:
+    lower, upper = machine.limits()
+    outside = (q_cmd < lower - LIMIT_ROUNDING) | (q_cmd > upper + LIMIT_ROUNDING)
+    for row, k in np.argwhere(outside)[:1]:
+        j = machine.joint_names[k]
+        name = f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}"
+        cells.fail(int(row), name, f"setpoint {q_cmd[row, k]:g} is outside the limits {lower[k]:g} … {upper[k]:g}")
+
+
+class _Cells:
+    """Column access with checks; every complaint names file, line and column."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+        self._index = {name: k for k, name in enumerate(table.header)}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._index
+
+    def fail(self, row: int, column: str, message: str) -> NoReturn:
+        table = self._table
+        raise RecordingError(f"{table.source}:{table.lines[row]}: column {column}: {message}")
+
+    def raw(self, name: str) -> list[str]:
+        if name not in self._index:
+            raise RecordingError(f"{self._table.source}: column {name} is missing")
+        k = self._index[name]
+        return [row[k].strip() for row in self._table.rows]
+
+    def numbers(self, name: str, fallback: Array | None = None) -> Array:
+        """Finite numbers; an empty cell takes `fallback` where that is given, else is an error."""
+        out = np.empty(len(self._table.rows))
+        for row, text in enumerate(self.raw(name)):
+            if not text and fallback is not None:
+                out[row] = fallback[row]
+                continue
+            out[row] = self._convert(row, name, text, float, "a number")
+            if not math.isfinite(out[row]):
+                self.fail(row, name, f"'{text}' is no finite number")
+        return out
+
+    def point(self, name: str) -> Array:
+        """(N, 3), nan where the three cells are empty or the columns are absent."""
+        columns = [f"{name}_{axis}" for axis in "xyz"]
+        present = [c in self for c in columns]
+        if not any(present):
+            return np.full((len(self._table.rows), 3), math.nan)
+        nothing = np.full(len(self._table.rows), math.nan)
+        out = np.column_stack([self.numbers(c, fallback=nothing) for c in columns])
+        missing = np.isnan(out)
+        for row in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))[:1]:
+            column = columns[int(np.argmax(missing[row]))]
+            self.fail(int(row), column, f"empty while other coordinates of {name} are given")
+        return out
+
+    def approach(self, name: str) -> NDArray[np.int64]:
+        if name not in self:
+            return np.zeros(len(self._table.rows), dtype=np.int64)
+        values = self.numbers(name, fallback=np.zeros(len(self._table.rows)))
+        for row in np.flatnonzero(~np.isin(values, (-1.0, 0.0, 1.0)))[:1]:
+            self.fail(int(row), name, f"{values[row]:g}, expected -1, 0 or 1")
+        return values.astype(np.int64)
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        return tuple(self.raw(name)) if name in self else ("",) * len(self._table.rows)
+
+    def times(self, name: str) -> Array:
+        out = np.empty(len(self._table.rows))
+        for row, text in enumerate(self.raw(name)):
+            out[row] = self._convert(row, name, text, _seconds, "an ISO 8601 time")
+            if row and out[row] < out[row - 1]:
+                self.fail(row, name, f"{text} is {out[row - 1] - out[row]:g} s before the visit above it")
+        return out
+
+    def _convert(self, row: int, name: str, text: str, convert: Callable[[str], float], wanted: str) -> float:
+        try:
+            return convert(text)
+        except ValueError:
+            self.fail(row, name, f"{text!r} is not {wanted}" if text else f"empty, expected {wanted}")
+
+
+def _seconds(text: str) -> float:
+    stamp = datetime.fromisoformat(text)
+    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+
+
+def _read_csv(path: Path) -> Table:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise RecordingError(f"{path}: neither a SQLite recording nor UTF-8 text ({exc.reason})") from None
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[tuple[str, ...]] = []
+    lines: list[int] = []
+    try:
+        header = tuple(name.strip() for name in next(reader, ()))
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(header):
+                raise RecordingError(
+                    f"{path}:{reader.line_num}: {len(row)} cells, the header has {len(header)}; is the file cut off?"
+                )
+            rows.append(tuple(row))
+            lines.append(reader.line_num)
+    except csv.Error as exc:
+        raise RecordingError(f"{path}:{reader.line_num}: not valid CSV ({exc})") from None
+    for k, name in enumerate(header):
+        if not name or name in header[:k]:
+            raise RecordingError(f"{path}:1: column {k + 1} is {'twice here: ' + name if name else 'without a name'}")
+    if not rows:
+        raise RecordingError(f"{path}: a header but no visit")
+    return Table(str(path), header, tuple(rows), tuple(lines))

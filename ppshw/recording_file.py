@@ -1,0 +1,167 @@
+"""The SQLite file that a campaign writes: visits, raw shots, events, and what the run was made with.
+
+A visit, its shots and its place in the campaign are one transaction: a kill at any instruction costs at most the visit
+in progress. Cells are kept as the texts they came as, so that a CSV goes in and comes out the same.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from ppshw.errors import RecordingError
+
+FORMAT = "ppshw recording 1"
+_SCHEMA = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE shots (visit INTEGER NOT NULL REFERENCES visits(visit), target TEXT NOT NULL, data TEXT NOT NULL);
+CREATE TABLE events (time TEXT NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL, data TEXT NOT NULL);
+"""
+
+
+def is_sqlite(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(16) == b"SQLite format 3\x00"
+
+
+class RecordingFile:
+    """An open recording. Use as a context manager."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._db = connection
+
+    @classmethod
+    def create(cls, path: Path | str, columns: Sequence[str], meta: Mapping[str, str]) -> RecordingFile:
+        """A new, empty recording. Raises RecordingError when the file exists already."""
+        path = Path(path)
+        if path.exists():
+            raise RecordingError(f"{path}: exists already, expected a new file")
+        if not path.parent.is_dir():
+            raise RecordingError(f"{path}: the folder {path.parent} does not exist")
+        db = sqlite3.connect(path, isolation_level=None)
+        with _transaction(db):
+            for statement in _SCHEMA.split(";"):
+                db.execute(statement)
+            cells = ", ".join(f"{_quoted(c)} TEXT NOT NULL" for c in columns)
+            db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
+            everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
+            db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
+        return cls(path, db)
+
+    @classmethod
+    def open(cls, path: Path | str, readonly: bool = False) -> RecordingFile:
+        """An existing recording. Raises RecordingError when it is none or is damaged."""
+        path = Path(path)
+        if not path.is_file():
+            raise RecordingError(f"{path}: no such recording")
+        mode = "ro" if readonly else "rw"
+        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, isolation_level=None)
+        file = cls(path, db)
+        try:
+            found = file.meta().get("format")
+            damage = db.execute("PRAGMA quick_check").fetchone()[0]
+        except sqlite3.DatabaseError as exc:
+            db.close()
+            raise RecordingError(f"{path}: not a recording, or cut off ({exc})") from None
+        if found != FORMAT or damage != "ok":
+            db.close()
+            raise RecordingError(f"{path}: expected '{FORMAT}', found {found!r} ({damage})")
+        return file
+
+    def __enter__(self) -> RecordingFile:
+        return self
+
+    def __exit__(self, *exc: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._db.close()
+
+    def meta(self) -> dict[str, str]:
+        return dict(self._db.execute("SELECT key, value FROM meta"))
+
+    def columns(self) -> tuple[str, ...]:
+        return tuple(json.loads(self.meta()["columns"]))
+
+    def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+        """Header and rows as text, in the order they were measured."""
+        header = self.columns()
+        names = ", ".join(_quoted(c) for c in header)
+        return header, tuple(self._db.execute(f"SELECT {names} FROM visits ORDER BY visit"))
+
+    def append(
+        self,
+        cells: Mapping[str, str],
+        plan_index: int | None = None,
+        shots: Iterable[tuple[str, Mapping[str, Any]]] = (),
+    ) -> int:
+        """Commit one visit with its raw shots; returns its number. Columns not given stay empty."""
+        header = self.columns()
+        unknown = set(cells) - set(header)
+        if unknown:
+            raise RecordingError(f"{self.path}: the recording has no column {', '.join(sorted(unknown))}")
+        names = ", ".join(_quoted(c) for c in header)
+        marks = ", ".join("?" * (len(header) + 1))
+        with _transaction(self._db):
+            cursor = self._db.execute(
+                f"INSERT INTO visits (plan_index, {names}) VALUES ({marks})",
+                [plan_index, *(cells.get(c, "") for c in header)],
+            )
+            visit = int(cursor.lastrowid or 0)
+            self._db.executemany(
+                "INSERT INTO shots VALUES (?, ?, ?)", [(visit, target, json.dumps(data)) for target, data in shots]
+            )
+        return visit
+
+    def append_rows(self, rows: Iterable[Sequence[str]]) -> None:
+        """Commit many rows at once, in the header's order (an import)."""
+        marks = ", ".join("?" * len(self.columns()))
+        names = ", ".join(_quoted(c) for c in self.columns())
+        with _transaction(self._db):
+            self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
+
+    def drop_visit(self, plan_index: int) -> None:
+        """Forget one visit, so that it is measured again (the operator's redo); the event log keeps that it was."""
+        with _transaction(self._db):
+            self._db.execute(
+                "DELETE FROM shots WHERE visit IN (SELECT visit FROM visits WHERE plan_index = ?)", [plan_index]
+            )
+            self._db.execute("DELETE FROM visits WHERE plan_index = ?", [plan_index])
+
+    def done(self) -> set[int]:
+        """Plan indices that are measured."""
+        return {k for (k,) in self._db.execute("SELECT plan_index FROM visits WHERE plan_index IS NOT NULL")}
+
+    def log(self, time: str, kind: str, text: str, data: Mapping[str, Any] | None = None) -> None:
+        """Add an event: a prompt and its answer, a baseline reading, a fault, a start or a stop."""
+        self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?)", [time, kind, text, json.dumps(data or {})])
+
+    def events(self) -> list[tuple[str, str, str, dict[str, Any]]]:
+        rows = self._db.execute("SELECT time, kind, text, data FROM events ORDER BY rowid")
+        return [(t, k, x, json.loads(d)) for t, k, x, d in rows]
+
+    def shots(self, visit: int) -> list[tuple[str, dict[str, Any]]]:
+        rows = self._db.execute("SELECT target, data FROM shots WHERE visit = ? ORDER BY rowid", [visit])
+        return [(t, json.loads(d)) for t, d in rows]
+
+
+class _transaction:
+    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK when anything goes wrong inside."""
+
+    def __init__(self, db: sqlite3.Connection) -> None:
+        self._db = db
+
+    def __enter__(self) -> None:
+        self._db.execute("BEGIN IMMEDIATE")
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        self._db.execute("COMMIT" if kind is None else "ROLLBACK")
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
