@@ -16,6 +16,7 @@
         ├── SoftLimit              a setpoint outside the axis' limits
         ├── HeartbeatLost          a node fell silent
         ├── BusLost                the CAN bus or its adapter is gone
+        ├── LineLost               a serial line or its adapter is gone
         ├── HardwareTimeout        a device answers, but not in time
         ├── IdentityMismatch       another device than the site file says
         ├── ConfigurationMismatch  a value written was not the value read back
@@ -100,6 +101,10 @@ class HeartbeatLost(HardwareError):
 
 
 class BusLost(HardwareError):
+    pass
+
+
+class LineLost(HardwareError):
     pass
 
 
