@@ -1,0 +1,58 @@
+"""Which terms a machine file and a recording call for   (model 17)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.machine import Joint, Machine
+from ppshw.model import Model
+from ppshw.recording import Recording
+from ppshw.terms import FrameTerm
+from ppshw.terms.basis import Basis, Constant, Polynomial, Smooth
+from ppshw.terms.elastic import Compliance, pattern
+from ppshw.terms.geometric import Geometric
+from ppshw.terms.target import TargetOffset
+
+Array = NDArray[np.float64]
+# Sines per function, at most: with 16 the shortest wave is a seventh of the travel.
+MOST_WAVES = 16
+COMPLIANCE_DEGREE = 3
+
+
+def joint_model(machine: Machine, recording: Recording, waves: int = MOST_WAVES) -> Model:
+    """Model (17) with smooth functions of one variable: base, one geometric and one elastic term per joint."""
+    terms: list[FrameTerm] = [Geometric(0, Constant())]
+    for k, joint in enumerate(machine.joints):
+        terms.append(Geometric(k + 1, smooth_basis(joint, recording.q[:, k], waves)))
+    for k, joint in enumerate(machine.joints):
+        if joint.elastic is not None:
+            basis = compliance_basis(joint, recording.q[:, k])
+            terms.append(
+                Compliance(k + 1, pattern(joint.elastic), tuple(joint.elastic.load_indices), basis)
+            )
+    target = None if machine.tracker.targets_known else TargetOffset(tuple(machine.targets))
+    return Model(machine, tuple(terms), target)
+
+
+def distinct_positions(q: Array) -> int:
+    """How many positions of a joint the visits really sample, a hundredth of the range counting as one."""
+    span = float(np.ptp(q))
+    return 1 if span == 0 else len(np.unique(np.round((q - q.min()) / span * 100)))
+
+
+def smooth_basis(joint: Joint, q: Array, waves: int) -> Basis:
+    """Over the travel that was sampled; never more freedom than distinct positions."""
+    distinct = distinct_positions(q)
+    if distinct < 2:
+        return Constant()
+    low, high = float(q.min()), float(q.max())
+    return Smooth((low + high) / 2, (high - low) / 2, max(0, min(waves, distinct - 2)))
+
+
+def compliance_basis(joint: Joint, q: Array) -> Basis:
+    distinct = distinct_positions(q)
+    if joint.elastic is None or not joint.elastic.varies or distinct < 2:
+        return Constant()
+    low, high = float(q.min()), float(q.max())
+    return Polynomial((low + high) / 2, (high - low) / 2, min(COMPLIANCE_DEGREE, distinct - 1))

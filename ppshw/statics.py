@@ -1,0 +1,41 @@
+"""The wrench on every link, by statics   (paper eq. 15).
+
+W_i is what everything beyond frame i applies to it: the payload, as the force sensor measured it, and the weights of
+the bodies from joint i outwards. Body i itself counts: it hangs on joint i.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.machine import Machine
+
+Array = NDArray[np.float64]
+
+
+def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array | None = None) -> Array:
+    """Wrenches W_{i,i} on frames F_0 … F_n, each at its own origin and in its own axes.
+
+    chain    (N, n+1, 4, 4)   frames in the base (with errors, if they are known)
+    payload  (N, 6)           wrench that the payload applies to the sensor, sensor frame    [N, N·m]
+    gravity  (N, 3)           in the base frame, where it is not the machine file's           [m/s²]
+    returns  (N, n+1, 6)                                                                      [N, N·m]
+    """
+    count = len(chain)
+    g = np.broadcast_to(machine.gravity if gravity is None else gravity, (count, 3))
+    sensor = chain[:, -1] @ machine.sensor_in_link
+    force = np.einsum("nij,nj->ni", sensor[:, :3, :3], payload[:, :3])
+    moment = np.einsum("nij,nj->ni", sensor[:, :3, :3], payload[:, 3:])
+    moment = moment + np.cross(sensor[:, :3, 3], force)  # about the base's origin, where forces just add up
+    out = np.empty((count, machine.n + 1, 6))
+    for i in range(machine.n, -1, -1):
+        if i > 0:
+            body = machine.joints[i - 1]
+            centre = np.einsum("nij,j->ni", chain[:, i, :3, :3], body.com) + chain[:, i, :3, 3]
+            force = force + body.mass * g
+            moment = moment + np.cross(centre, body.mass * g)
+        here = moment - np.cross(chain[:, i, :3, 3], force)
+        out[:, i, :3] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], force)
+        out[:, i, 3:] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], here)
+    return out

@@ -1,0 +1,92 @@
+"""Elastic errors: a symmetric compliance matrix behind a joint acts on its link's wrench   (paper eqs 15, 16)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.machine import WRENCH_COMPONENTS, Elastic
+from ppshw.terms import COMPONENTS, Parameter, Situation
+from ppshw.terms.basis import Basis, basis_from_dict
+
+Array = NDArray[np.float64]
+# Starting prior standard deviations by kind of element: displacement per force, mixed, rotation per moment. A steel
+# structure of metres gives way by 1e-7 m/N; soon forgotten.
+START = {"tF": 5e-7, "tM": 2e-7, "rM": 2e-7}
+UNITS = {"tF": "m/N", "tM": "rad/N", "rM": "rad/(N m)"}
+
+
+def pattern(elastic: Elastic) -> tuple[tuple[int, int], ...]:
+    """The elements (a, b), a ≤ b, of the symmetric matrix that the acting loads can excite.
+
+    With all six loads these are the 21 of the paper; elements whose both loads are absent change nothing and are left
+    out ("the compliance parameters multiplied by the nullified components of W", section 4.1).
+    """
+    acting = set(elastic.load_indices)
+    return tuple((a, b) for a in range(6) for b in range(a, 6) if a in acting or b in acting)
+
+
+def element_kind(a: int, b: int) -> str:
+    return ("t" if a < 3 else "r") + ("F" if b < 3 else "M")
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """ε_frame = C(q_i) W_frame, C symmetric, its elements functions of the joint's own position or constants.
+
+    elements  (a, b) pairs, a ≤ b, in the order tx ty tz rx ry rz / Fx Fy Fz Mx My Mz
+    loads     indices of the wrench components that act on this link; others are taken as zero
+    """
+
+    frame: int
+    elements: tuple[tuple[int, int], ...]
+    loads: tuple[int, ...]
+    basis: Basis
+    kind: str = "compliance"
+
+    def parameters(self, frame_names: Sequence[str]) -> list[Parameter]:
+        name = frame_names[self.frame]
+        return [
+            Parameter(
+                f"{name}.C[{COMPONENTS[a]},{WRENCH_COMPONENTS[b]}][{j}]",
+                UNITS[element_kind(a, b)],
+                f"compliance.{name}.{element_kind(a, b)}.{band}",
+                1.0,
+                START[element_kind(a, b)],
+            )
+            for a, b in self.elements
+            for j, band in enumerate(self.basis.bands)
+        ]
+
+    def regressors(self, situation: Situation, wrenches: Array) -> Array:
+        values = self.basis.values(situation.q[:, self.frame - 1])
+        acting = np.zeros(6)
+        acting[list(self.loads)] = 1.0
+        load = wrenches[:, self.frame] * acting
+        m = values.shape[1]
+        out = np.zeros((len(values), 6, len(self.elements) * m))
+        for k, (a, b) in enumerate(self.elements):
+            columns = slice(k * m, (k + 1) * m)
+            out[:, a, columns] = load[:, b, None] * values
+            if a != b:
+                out[:, b, columns] = load[:, a, None] * values
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            "frame": self.frame,
+            "elements": [[COMPONENTS[a], WRENCH_COMPONENTS[b]] for a, b in self.elements],
+            "loads": [WRENCH_COMPONENTS[k] for k in self.loads],
+            "basis": self.basis.as_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Compliance:
+        elements = tuple((COMPONENTS.index(a), WRENCH_COMPONENTS.index(b)) for a, b in data["elements"])
+        loads = tuple(WRENCH_COMPONENTS.index(k) for k in data["loads"])
+        return cls(int(data["frame"]), elements, loads, basis_from_dict(data["basis"]))
