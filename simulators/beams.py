@@ -99,8 +99,8 @@ def turned(compliance: Array, rotation: Array) -> Array:
 def along(direction: Array) -> Array:
     """(3, 3) axes of a beam in this direction: x along it, y and z anywhere across, but always the same."""
     x = direction / np.linalg.norm(direction)
-    helper = np.eye(3)[int(np.argmin(np.abs(x)))]
-    y = np.cross(x, helper)
+    helper = np.eye(3)[2 - int(np.argmin(np.abs(x[::-1])))]  # so that a beam along the frame's x has its axes
+    y = np.cross(helper, x)
     y /= np.linalg.norm(y)
     return np.column_stack([x, y, np.cross(x, y)])
 

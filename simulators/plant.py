@@ -206,7 +206,8 @@ class LivePlant:
     def wrench(self) -> Array:
         """(6,) what the payload applies to the force sensor now, in the sensor frame [N, N m]."""
         with self._lock:
-            return self.plant.wrench(np.array(self._joints(), dtype=float), self._load)[0]
+            wrench: Array = self.plant.wrench(np.array(self._joints(), dtype=float), self._load)[0]
+            return wrench
 
     def temperatures(self) -> dict[str, float]:
         return temperatures(self._clock.now())
@@ -235,4 +236,4 @@ def _tracker_place(rng: np.random.Generator) -> Array:
 
 
 def _unit(vector: Array) -> Array:
-    return vector / float(np.linalg.norm(vector))
+    return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)
