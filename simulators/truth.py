@@ -269,7 +269,7 @@ def _scatter(
     many = np.concatenate(
         [
             _moves_point(poses, point, sigma * rng.normal(size=(*poses.shape[:2], 6))).sum(axis=1)
-            for _ in range(40)
+            for _ in range(20)
         ]
     )
     return sigma * (repeatability / _size(many))
