@@ -1,0 +1,108 @@
+"""Named axes and instruments under one context manager: on any way out the axes stop and every device is closed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ports import Atmosphere, AxisGroup, Clock, DeviceInfo, ForceSensor, Thermometer, Tracker
+from ppshw import kinematics
+from ppshw.errors import HardwareError
+from ppshw.machine import Machine
+from ppshw.transforms import inverse
+
+Array = NDArray[np.float64]
+# Joint values (n,) and a target's name → where the tracker should look (3,) [m, tracker frame].
+Aim = Callable[[Array, str], Array]
+
+STANDARD_AIR = Atmosphere(temperature_c=20.0, pressure_hpa=1013.25, humidity_pct=50.0)
+
+
+@dataclass
+class Bench:
+    """force_sensor None: a machine without one; its recordings have no wrench columns filled.
+
+    atmosphere  the air now; its temperature is recorded as `temp_air_C`
+    notes       what goes into the recording's meta (the site file's text and hash)
+    """
+
+    axes: AxisGroup
+    tracker: Tracker
+    force_sensor: ForceSensor | None
+    clock: Clock
+    aim: Aim
+    thermometers: tuple[Thermometer, ...] = ()
+    atmosphere: Callable[[], Atmosphere] = lambda: STANDARD_AIR
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.axes.quick_stop()
+        problems = self._close()
+        if kind is None and problems:
+            raise problems[0]
+        for problem in problems:  # the first error is the cause; these stay with it for whoever debugs
+            assert error is not None
+            error.add_note(f"while closing: {problem}")
+
+    def check(self) -> list[DeviceInfo]:
+        """Who every device is and how it is; nothing moves."""
+        found = [*self.axes.check(), self.tracker.check()]
+        return found if self.force_sensor is None else [*found, self.force_sensor.check()]
+
+    def start(self) -> list[DeviceInfo]:
+        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker."""
+        self.tracker.start()
+        if self.force_sensor is not None:
+            self.force_sensor.start()
+        found = self.check()
+        self.axes.start()
+        return found
+
+    def temperatures(self) -> dict[str, float]:
+        """Place → °C of every thermometer. A place that two of them claim is a HardwareError."""
+        found: dict[str, float] = {"air": self.atmosphere().temperature_c}
+        for thermometer in self.thermometers:
+            for place, value in thermometer.read().items():
+                if place in found:
+                    raise HardwareError("thermometers", f"two of them report a place called '{place}'")
+                found[place] = value
+        return found
+
+    def stop(self) -> None:
+        self.axes.quick_stop()
+
+    def _close(self) -> list[Exception]:
+        """Close every device even when closing another one fails."""
+        problems: list[Exception] = []
+        devices: list[Callable[[], None]] = [self.axes.close, self.tracker.close]
+        if self.force_sensor is not None:
+            devices.append(self.force_sensor.close)
+        for close in devices:
+            try:
+                close()
+            except (HardwareError, OSError) as problem:
+                problems.append(problem)
+        return problems
+
+
+def nominal_aim(machine: Machine, tracker_in_base: Array) -> Aim:
+    """Where a perfect machine would have its reflectors: millimetres off, near enough for a tracker to find them.
+
+    tracker_in_base  (4, 4) the measuring frame in the base frame
+    """
+    to_tracker = inverse(tracker_in_base)
+
+    def aim(q: Array, target: str) -> Array:
+        in_base = kinematics.point_positions(machine, q[None, :], machine.point(target)[None, :])[0, 0]
+        return np.asarray(to_tracker[:3, :3] @ in_base + to_tracker[:3, 3])
+
+    return aim

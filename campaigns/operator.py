@@ -1,0 +1,130 @@
+"""The person at the bench, as a port: puts loads on, and may pause, skip, redo or abort between two visits.
+
+`ConsoleOperator` asks at the terminal; `AutomaticOperator` hands the load to whatever carries it out (a simulated
+plant, a loading rig) and answers at once. What was asked and answered goes into the recording, with name, time and mass.
+"""
+
+from __future__ import annotations
+
+import enum
+import select
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TextIO
+
+from campaigns.script import LoadCase
+from ppshw.errors import Stopped
+
+
+class Command(enum.Enum):
+    PAUSE = "p"
+    GO_ON = "g"
+    SKIP = "s"
+    REDO = "r"
+    ABORT = "a"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Who put the load on, and the mass that really lies there if it is not the one asked for [kg]."""
+
+    name: str
+    mass: float | None = None
+
+
+class Operator(Protocol):
+    def change_load(self, load: LoadCase) -> Answer:
+        """Take off what is there, put this on; returns when it is done. Raises Stopped when the operator gives up."""
+
+    def command(self) -> Command | None:
+        """What was asked for since the last call; asked between visits, never waits."""
+
+    def wait_for_command(self, why: str) -> Command:
+        """Say why the run stands still, wait for the next command."""
+
+    def tell(self, text: str) -> None: ...
+
+
+class AutomaticOperator:
+    """Nobody to ask. `put_on` carries the load change out; a standstill that wants a decision is an abort."""
+
+    def __init__(self, put_on: Callable[[LoadCase], None] | None = None, name: str = "automatic") -> None:
+        self._put_on = put_on
+        self._name = name
+
+    def change_load(self, load: LoadCase) -> Answer:
+        if self._put_on is not None:
+            self._put_on(load)
+        return Answer(self._name, load.mass)
+
+    def command(self) -> Command | None:
+        return None
+
+    def wait_for_command(self, why: str) -> Command:
+        return Command.ABORT
+
+    def tell(self, text: str) -> None:
+        """Nobody listens; the event log has it."""
+
+
+class ConsoleOperator:
+    """Asks on `out`, reads lines from `lines`. One letter and Enter while a campaign runs: p, s, r, a."""
+
+    def __init__(self, lines: TextIO | None = None, out: TextIO | None = None) -> None:
+        self._lines = lines or sys.stdin
+        self._out = out or sys.stderr
+        self._name = ""
+
+    def change_load(self, load: LoadCase) -> Answer:
+        what = "everything off the couch" if load.mass == 0 else _describe(load)
+        self.tell(f"\nLoad change: {what}.")
+        while True:
+            known = f" [{self._name}]" if self._name else ""
+            words = self._ask(f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: ").split()
+            if words == ["abort"]:
+                raise Stopped(f"stopped by the operator at the change to load {load.name}")
+            mass: float | None = load.mass
+            if words and _is_number(words[-1]):
+                mass = float(words.pop())
+            self._name = " ".join(words) or self._name
+            if self._name:
+                return Answer(self._name, mass)
+
+    def command(self) -> Command | None:
+        if not self._lines.isatty() or not select.select([self._lines], [], [], 0)[0]:
+            return None
+        return self._parse(self._lines.readline())
+
+    def wait_for_command(self, why: str) -> Command:
+        self.tell(f"\n{why}")
+        while True:
+            found = self._parse(self._ask("g go on, s skip this visit, r redo the last one, a abort: "))
+            if found is not None and found is not Command.PAUSE:
+                return found
+
+    def tell(self, text: str) -> None:
+        print(text, file=self._out, flush=True)
+
+    def _ask(self, prompt: str) -> str:
+        print(prompt, end="", file=self._out, flush=True)
+        line = self._lines.readline()
+        if not line:
+            raise Stopped("stopped: nobody answers at the terminal (end of input)")
+        return line.strip()
+
+    def _parse(self, line: str) -> Command | None:
+        letter = line.strip().lower()[:1]
+        return Command(letter) if letter in {c.value for c in Command} else None
+
+
+def _describe(load: LoadCase) -> str:
+    x, y, z = load.com
+    return f"put on '{load.name}': {load.mass:g} kg, centre at ({x:g}, {y:g}, {z:g}) m on the couch"
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return float(word) >= 0.0
+    except ValueError:
+        return False

@@ -1,0 +1,374 @@
+"""Runs a plan on a bench into a recording, one committed visit after the other.
+
+A visit is: load change if the plan asks for one, move, settle, measure the targets, read wrench and temperatures, and
+one transaction that holds all of it. A kill at any instruction costs at most the visit in hand; the same command again
+goes on behind the last one. Trouble of any kind stops the axes, is logged with device and cause, and is raised again:
+nothing is retried behind the operator's back.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaigns.bench import Bench
+from campaigns.operator import Command, Operator
+from campaigns.plan import Plan, Visit, check_setpoints
+from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading
+from ppshw.errors import BeamLost, HardwareError, PpshwError, RecordingError, Stopped
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.recording import columns_for
+from ppshw.recording_file import RecordingFile
+
+Array = NDArray[np.float64]
+# (wanted setpoints (n,), measured wrench (6,) in the sensor frame, joint values now (n,)) → setpoints to command (n,).
+# The wrench is the one at the pose `now`: the payload's weight turns in the sensor frame as the machine moves.
+SetpointMap = Callable[[Array, Array, Array], Array]
+SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
+_LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """After each visit: how many are done of how many, and the machine time that the rest takes."""
+
+    done: int
+    total: int
+    seconds_left: float
+    visit: Visit
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """measured: in this run; done: in the recording; skipped: left out on the operator's word."""
+
+    out: Path
+    measured: int
+    done: int
+    skipped: int
+    lost_beams: int
+
+
+def run_campaign(
+    plan: Plan,
+    bench: Bench,
+    out: Path | str,
+    operator: Operator,
+    *,
+    setpoint_map: SetpointMap | None = None,
+    map_label: str = "compensated",
+    progress: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Run what the recording `out` does not hold yet; creates it when it is new. `bench` is entered, not started.
+
+    setpoint_map  corrects every visit's setpoints before they are commanded; q_cmd in the recording is what was
+                  commanded, cov_wanted_<joint> what was wanted
+    map_label     says in the recording which correction that was (a calibration's hash): a resumed run must use the same
+    """
+    run = _Run(plan, bench, Path(out), operator, setpoint_map, map_label, progress)
+    return run.go()
+
+
+class _Run:
+    """One run of a plan: the open recording, and what load is on."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        bench: Bench,
+        out: Path,
+        operator: Operator,
+        setpoint_map: SetpointMap | None,
+        map_label: str,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        self._plan, self._bench, self._out, self._operator = plan, bench, out, operator
+        self._map, self._map_label, self._progress = setpoint_map, map_label, progress
+        self._joints = plan.machine.joint_names
+        self._load: str | None = None
+        self._measured = 0
+        self._lost = 0
+
+    def go(self) -> RunResult:
+        meta = _identity(self._plan, self._map_label if self._map else "as planned")
+        existing = self._out.exists()
+        if existing:  # look before any axis is enabled
+            with RecordingFile.open(self._out) as file:
+                _refuse_another_run(file, meta)
+                if self._all_done(file):
+                    return self._result(file)
+        try:
+            devices = self._bench.start()
+            places = self._places()
+            with self._open(existing, meta, places) as file:
+                self._log(file, "start", "resumed" if existing else "started", _start_note(devices, self._bench))
+                return self._visits(file)
+        except KeyboardInterrupt:
+            self._bench.stop()
+            raise Stopped(f"stopped by the operator; {self._out} holds everything up to the last visit") from None
+        except BaseException:
+            self._bench.stop()
+            raise
+
+    # --- the recording -------------------------------------------------------------------------------------
+    def _open(self, existing: bool, meta: Mapping[str, str], places: list[str]) -> RecordingFile:
+        if not existing:
+            wanted = [f"wanted_{j}" for j in self._joints] if self._map else []
+            columns = columns_for(self._plan.machine, places, self._plan.extra_targets, wanted)
+            return RecordingFile.create(self._out, columns, {**meta, **_origin(self._plan), **self._bench.notes})
+        file = RecordingFile.open(self._out)
+        now, (last, missing) = self._now(), _last_time_and_missing(file, places)
+        if missing or now < last:
+            file.close()
+            why = f"no column for the temperature of {missing}" if missing else f"its last visit is of {last}, now is {now}"
+            raise RecordingError(f"{self._out}: cannot be continued: {why}")
+        return file
+
+    def _places(self) -> list[str]:
+        places = list(self._bench.temperatures())
+        if self._bench.force_sensor is not None and self._bench.force_sensor.read().temperature_c is not None:
+            places.append("force_sensor")
+        return places
+
+    def _log(self, file: RecordingFile, kind: str, text: str, data: Mapping[str, Any] | None = None) -> None:
+        file.log(self._now(), kind, text, data)
+
+    def _now(self) -> str:
+        return self._bench.clock.utc().isoformat(timespec="milliseconds")
+
+    def _all_done(self, file: RecordingFile) -> bool:
+        return len(file.done() | _skipped(file)) >= len(self._plan.visits)
+
+    def _result(self, file: RecordingFile) -> RunResult:
+        return RunResult(self._out, self._measured, len(file.done()), len(_skipped(file)), self._lost)
+
+    # --- the loop ------------------------------------------------------------------------------------------
+    def _visits(self, file: RecordingFile) -> RunResult:
+        finished = file.done() | _skipped(file)
+        todo = [visit for visit in self._plan.visits if visit.index not in finished]
+        last: Visit | None = None
+        seconds_left = self._plan.seconds_left(finished)
+        try:
+            while todo:
+                visit = todo[0]
+                command = self._operator.command()
+                if command is not None:
+                    command = self._obey(file, command, visit)
+                if command is Command.REDO and last is not None:
+                    file.drop_visit(last.index)
+                    todo.insert(0, last)
+                    last, seconds_left = None, seconds_left + self._plan.durations[todo[0].index]
+                    continue
+                self._wait_for_temperature(file)
+                if command is not Command.SKIP:
+                    self._change_load(file, visit)
+                    self._visit(file, visit)
+                    last = visit
+                    self._measured += 1
+                todo.pop(0)
+                seconds_left -= self._plan.durations[visit.index]
+                if self._progress is not None:
+                    done = len(self._plan.visits) - len(todo)
+                    self._progress(Progress(done, len(self._plan.visits), max(0.0, seconds_left), visit))
+            self._baseline(file, "after the last visit")
+        except (PpshwError, KeyboardInterrupt) as error:
+            self._bench.stop()
+            self._log_trouble(file, error, todo[0] if todo else None)
+            raise
+        self._log(file, "end", f"{len(file.done())} of {len(self._plan.visits)} visits measured")
+        return self._result(file)
+
+    def _visit(self, file: RecordingFile, visit: Visit) -> None:
+        bench = self._bench
+        wanted = np.array(visit.setpoints)
+        commanded = self._corrected(visit, wanted)
+        if visit.via is not None:
+            bench.axes.move(dict(zip(self._joints, visit.via, strict=True)))
+        report = bench.axes.move(dict(zip(self._joints, commanded.tolist(), strict=True)))
+        rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
+        if rest > 0:
+            bench.clock.sleep(rest)
+        settled_s, time = bench.clock.now() - report.ended_at, self._now()
+        q = bench.axes.positions()
+        shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
+        reading = None if bench.force_sensor is None else bench.force_sensor.read()
+        temperatures = bench.temperatures()
+        bench.axes.raise_if_faulty()  # an axis that fell over during the measurement spoils it
+        cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
+        cells |= _joint_cells(self._joints, commanded, q, report)
+        cells |= {f"{s.target}_{axis}": f"{x:.9f}" for s in shots for axis, x in zip("xyz", s.xyz.tolist(), strict=True)}
+        cells |= {f"temp_{place}_C": f"{value:.4f}" for place, value in temperatures.items()}
+        if reading is not None:
+            cells |= _wrench_cells(reading)
+        if self._map is not None:
+            cells |= {f"cov_wanted_{j}": f"{x:.9f}" for j, x in zip(self._joints, wanted.tolist(), strict=True)}
+        raw = [(s.target, _raw(s)) for s in shots]
+        if reading is not None:
+            raw.append(("wrench", _raw_wrench(reading)))
+        file.append(cells, plan_index=visit.index, shots=raw)
+
+    def _corrected(self, visit: Visit, wanted: Array) -> Array:
+        if self._map is None:
+            return wanted
+        now = self._bench.axes.positions()
+        wrench = np.zeros(6) if self._bench.force_sensor is None else self._bench.force_sensor.read().wrench
+        commanded = np.asarray(self._map(wanted, wrench, np.array([now[j] for j in self._joints])), dtype=float)
+        check_setpoints(commanded.tolist(), self._plan.machine, f"visit {visit.index} ({visit.step}), corrected")
+        return commanded
+
+    def _shots(self, file: RecordingFile, visit: Visit, q: Array) -> list[Shot]:
+        self._bench.tracker.set_atmosphere(self._bench.atmosphere())
+        shots: list[Shot] = []
+        for target in visit.targets:
+            try:
+                shots.append(self._bench.tracker.measure(target, self._bench.aim(q, target)))
+            except BeamLost as lost:
+                if self._plan.script.on_lost_beam == "stop":
+                    raise
+                self._lost += 1
+                self._log(file, "beam lost", str(lost), {"visit": visit.index, "target": target})
+        return shots
+
+    # --- what stands between visits ------------------------------------------------------------------------
+    def _change_load(self, file: RecordingFile, visit: Visit) -> None:
+        """After a resume too: nobody knows what lies on the machine, so the operator is asked."""
+        if visit.load == self._load:
+            return
+        load = self._plan.loads.get(visit.load)
+        assert load is not None, f"visit {visit.index} has a load '{visit.load}' that the script does not define"
+        self._baseline(file, f"before the change to load {load.name}")
+        asked = self._now()
+        answer = self._operator.change_load(load)
+        note = {"asked": asked, "operator": answer.name, "mass_kg": answer.mass, **asdict(load)}
+        self._log(file, "load change", f"{load.name}: {load.mass:g} kg put on by {answer.name}", note)
+        self._load = load.name
+        self._baseline(file, f"after the change to load {load.name}")
+
+    def _baseline(self, file: RecordingFile, when: str) -> None:
+        if not self._plan.script.baseline or self._bench.force_sensor is None:
+            return
+        reading = self._bench.force_sensor.read()
+        self._log(file, "baseline", when, {**_raw_wrench(reading), "q": self._bench.axes.positions()})
+
+    def _wait_for_temperature(self, file: RecordingFile) -> None:
+        window = self._plan.script.temperature
+        if window is None:
+            return
+        suspended = False
+        while True:
+            outside = {p: t for p, t in self._bench.temperatures().items() if not window[0] <= t <= window[1]}
+            if not outside:
+                if suspended:
+                    self._log(file, "released", "temperatures are back inside their window")
+                return
+            if not suspended:
+                text = ", ".join(f"{place} at {t:.2f} °C" for place, t in outside.items())
+                text = f"suspended: {text}, outside {window[0]:g} … {window[1]:g} °C"
+                self._log(file, "suspended", text, outside)
+                self._operator.tell(text)
+            suspended = True
+            if self._operator.command() is Command.ABORT:
+                raise Stopped("stopped by the operator while suspended")
+            self._bench.clock.sleep(SUSPENDED_FOR_S)
+            self._bench.axes.raise_if_faulty()
+
+    def _obey(self, file: RecordingFile, command: Command, visit: Visit) -> Command:
+        if command is Command.PAUSE:
+            self._log(file, "paused", f"before visit {visit.index}")
+            command = self._operator.wait_for_command(f"Paused before visit {visit.index + 1}.")
+            self._log(file, "released", f"operator: {command.name.lower()}")
+        if command is Command.ABORT:
+            raise Stopped(f"stopped by the operator before visit {visit.index + 1} of {len(self._plan.visits)}")
+        if command is Command.SKIP:
+            self._log(file, "skip", f"visit {visit.index} left out by the operator", {"visit": visit.index})
+        if command is Command.REDO:
+            self._log(file, "redo", f"the visit before {visit.index} is measured again")
+        return command
+
+    def _log_trouble(self, file: RecordingFile, error: BaseException, visit: Visit | None) -> None:
+        data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}
+        if isinstance(error, HardwareError):
+            self._log(file, "fault", str(error), {**data, "device": error.device, "cause": error.cause})
+        else:
+            self._log(file, "stopped", str(error) or "interrupted", data)
+
+
+# --- cells and notes -----------------------------------------------------------------------------------------
+def _joint_cells(joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], report: MoveReport) -> dict[str, str]:
+    out = {f"q_cmd_{j}": f"{x:.9f}" for j, x in zip(joints, commanded.tolist(), strict=True)}
+    out |= {f"q_{j}": f"{q[j]:.9f}" for j in joints}
+    out |= {f"approach_{j}": str(report.approach[j]) for j in joints}
+    return out
+
+
+def _wrench_cells(reading: WrenchReading) -> dict[str, str]:
+    out = {c: f"{x:.6f}" for c, x in zip(WRENCH_COMPONENTS, reading.wrench.tolist(), strict=True)}
+    if reading.temperature_c is not None:
+        out["temp_force_sensor_C"] = f"{reading.temperature_c:.4f}"
+    return out
+
+
+def _raw(shot: Shot) -> dict[str, Any]:
+    return {
+        "xyz": shot.xyz.tolist(), "raw": dict(shot.raw), "ppm": shot.ppm,
+        "atmosphere": asdict(shot.atmosphere), "extra": dict(shot.extra),
+    }  # fmt: skip
+
+
+def _raw_wrench(reading: WrenchReading) -> dict[str, Any]:
+    return {"wrench": reading.wrench.tolist(), "spread": reading.spread.tolist(), "samples": reading.samples}
+
+
+def _identity(plan: Plan, setpoints: str) -> dict[str, str]:
+    """What a resumed run must share with the run before."""
+    return {
+        "machine_sha256": plan.machine.sha256, "campaign_sha256": plan.script.sha256, "plan_sha256": plan.digest,
+        "setpoints": setpoints,
+    }  # fmt: skip
+
+
+def _origin(plan: Plan) -> dict[str, str]:
+    versions = {library: version(library) for library in _LIBRARIES} | {"python": platform.python_version()}
+    return {
+        "machine": Path(plan.machine.file).read_text(encoding="utf-8"),
+        "machine_name": plan.machine.name,
+        "campaign": plan.script.text,
+        "campaign_name": plan.script.name,
+        "visits_planned": str(len(plan.visits)),
+        "versions": json.dumps(versions),
+    }
+
+
+def _start_note(devices: list[DeviceInfo], bench: Bench) -> dict[str, Any]:
+    return {"devices": [asdict(device) for device in devices], "site_sha256": bench.notes.get("site_sha256", "")}
+
+
+def _refuse_another_run(file: RecordingFile, wanted: Mapping[str, str]) -> None:
+    found = file.meta()
+    names = {"machine_sha256": "machine file", "campaign_sha256": "campaign script", "plan_sha256": "plan",
+             "setpoints": "setpoint correction"}  # fmt: skip
+    for key, name in names.items():
+        if found.get(key) != wanted[key]:
+            was = found.get(key, "unknown")[:12]
+            raise RecordingError(
+                f"{file.path}: was begun with another {name} ({was}, now {wanted[key][:12]}); "
+                "choose a new file, or go on with what it was begun with"
+            )
+
+
+def _skipped(file: RecordingFile) -> set[int]:
+    return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
+
+
+def _last_time_and_missing(file: RecordingFile, places: list[str]) -> tuple[str, str]:
+    header, rows = file.table()
+    last = rows[-1][header.index("time")] if rows else ""
+    return last, ", ".join(p for p in places if f"temp_{p}_C" not in header)

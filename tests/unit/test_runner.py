@@ -1,0 +1,394 @@
+"""The runner against the smallest possible bench: order of work, resuming, the operator's commands, trouble."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from campaigns.bench import Bench, nominal_aim
+from campaigns.operator import Answer, AutomaticOperator, Command, ConsoleOperator
+from campaigns.plan import Plan, plan_campaign
+from campaigns.runner import Progress, run_campaign
+from campaigns.script import LoadCase, load_script
+from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WrenchReading
+from ppshw.errors import BeamLost, CampaignError, DriveFault, HardwareError, RecordingError, Stopped
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import load_recording
+from ppshw.recording_file import RecordingFile
+from simulators.clock import SteppedClock
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).parents[2]
+SCRIPT = """\
+name: trial
+settle_s: 7
+loads: [{name: empty, mass: 0}, {name: box, mass: 50, com: [0, 0.1, 0.2]}]
+steps:
+  - {step: a, kind: random, count: 3, loads: [empty]}
+  - {step: b, kind: random, count: 3, loads: [box]}
+"""
+
+
+class FakeAxes:
+    """Goes anywhere in three seconds; `trouble` is raised by the move that comes after so many others."""
+
+    def __init__(self, names: Sequence[str], clock: SteppedClock) -> None:
+        self.names = names
+        self.clock = clock
+        self.at = dict.fromkeys(names, 0.0)
+        self.moves: list[dict[str, float]] = []
+        self.stops = 0
+        self.closed = False
+        self.trouble: tuple[int, BaseException] | None = None
+
+    def check(self) -> list[DeviceInfo]:
+        return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
+
+    def start(self) -> None:
+        self.stops = 0
+
+    def move(self, setpoints: Mapping[str, float]) -> MoveReport:
+        if self.trouble is not None and len(self.moves) == self.trouble[0]:
+            raise self.trouble[1]
+        approach = {n: int(np.sign(setpoints[n] - self.at[n])) for n in self.names}
+        self.moves.append(dict(setpoints))
+        self.at = dict(setpoints)
+        self.clock.sleep(3.0)
+        return MoveReport(dict(self.at), approach, self.clock.now())
+
+    def positions(self) -> dict[str, float]:
+        return {n: x + 1e-6 for n, x in self.at.items()}
+
+    def raise_if_faulty(self) -> None:
+        pass
+
+    def quick_stop(self) -> None:
+        self.stops += 1
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeTracker:
+    """Finds every target exactly where it looks, except those it has lost."""
+
+    name = "tracker"
+
+    def __init__(self, clock: SteppedClock) -> None:
+        self.clock = clock
+        self.lost: set[str] = set()
+        self.closed = False
+        self.close_error: HardwareError | None = None
+
+    def check(self) -> DeviceInfo:
+        return DeviceInfo("tracker", "fake", "1", "1", "ready")
+
+    def start(self) -> None:
+        pass
+
+    def set_atmosphere(self, atmosphere: Atmosphere) -> None:
+        self.atmosphere = atmosphere
+
+    def measure(self, target: str, expected: Array) -> Shot:
+        if target in self.lost:
+            raise BeamLost("tracker", f"no target found at {target}")
+        self.clock.sleep(2.0)
+        return Shot(target, expected, {"distance": float(np.linalg.norm(expected))}, 0.5, self.atmosphere)
+
+    def close(self) -> None:
+        self.closed = True
+        if self.close_error is not None:
+            raise self.close_error
+
+
+class FakeSensor:
+    name = "force sensor"
+
+    def __init__(self) -> None:
+        self.wrench = np.zeros(6)
+        self.closed = False
+
+    def check(self) -> DeviceInfo:
+        return DeviceInfo("force sensor", "fake", "1", "1", "ready")
+
+    def start(self) -> None:
+        pass
+
+    def read(self) -> WrenchReading:
+        return WrenchReading(self.wrench.copy(), np.full(6, 0.1), 32, 30.0)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeThermometer:
+    def __init__(self) -> None:
+        self.values = [21.0]
+
+    def read(self) -> Mapping[str, float]:
+        return {"column": self.values.pop(0) if len(self.values) > 1 else self.values[0]}
+
+
+class Situation:
+    """A machine, a plan of six visits, and a bench of fakes whose operator loads the fake sensor."""
+
+    def __init__(self, folder: Path, script: str = SCRIPT) -> None:
+        path = folder / "trial.yaml"
+        path.write_text(script, encoding="utf-8")
+        self.machine: Machine = load_machine(ROOT / "machines/pps.yaml")
+        self.plan: Plan = plan_campaign(load_script(path), self.machine)
+        self.clock = SteppedClock()
+        self.axes = FakeAxes(self.machine.joint_names, self.clock)
+        self.tracker = FakeTracker(self.clock)
+        self.sensor = FakeSensor()
+        self.thermometer = FakeThermometer()
+        self.put_on: list[str] = []
+        self.out = folder / "trial.db"
+
+    def load(self, load: LoadCase) -> None:
+        self.put_on.append(load.name)
+        self.sensor.wrench = np.array([0.0, -9.80665 * load.mass, 0, 0, 0, 0])
+
+    def bench(self) -> Bench:
+        aim = nominal_aim(self.machine, np.eye(4))
+        return Bench(self.axes, self.tracker, self.sensor, self.clock, aim, (self.thermometer,))
+
+    def run(self, operator: AutomaticOperator | ConsoleOperator | Scripted | None = None, **options: object) -> None:
+        with self.bench() as bench:
+            run_campaign(self.plan, bench, self.out, operator or AutomaticOperator(self.load), **options)  # type: ignore[arg-type]
+
+    def indices(self) -> list[int]:
+        with RecordingFile.open(self.out) as file:
+            return sorted(file.done())
+
+    def events(self, kind: str) -> list[str]:
+        with RecordingFile.open(self.out) as file:
+            return [text for _, k, text, _ in file.events() if k == kind]
+
+
+class Scripted(AutomaticOperator):
+    """Says its commands one by one, at the visits they are due."""
+
+    def __init__(self, situation: Situation, *commands: Command | None) -> None:
+        super().__init__(situation.load)
+        self.commands = list(commands)
+        self.told: list[str] = []
+
+    def command(self) -> Command | None:
+        return self.commands.pop(0) if self.commands else None
+
+    def wait_for_command(self, why: str) -> Command:
+        self.told.append(why)
+        return self.commands.pop(0) or Command.GO_ON if self.commands else Command.ABORT
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+
+@pytest.fixture
+def situation(tmp_path: Path) -> Situation:
+    return Situation(tmp_path)
+
+
+def test_a_whole_campaign_ends_in_a_recording_that_the_model_side_reads(situation: Situation) -> None:
+    situation.run()
+    recording = load_recording(situation.out, situation.machine)
+    assert recording.step == ("a", "a", "a", "b", "b", "b")
+    assert recording.load == ("empty",) * 3 + ("box",) * 3
+    np.testing.assert_allclose(recording.q_cmd, [v.setpoints for v in situation.plan.visits], atol=1e-9)
+    np.testing.assert_allclose(recording.q - recording.q_cmd, 1e-6, atol=1e-9)
+    np.testing.assert_allclose(recording.settle_s, 7.0, atol=1e-9)
+    np.testing.assert_allclose(recording.wrench[:, 1], [0, 0, 0, -490.3325, -490.3325, -490.3325], atol=1e-5)
+    assert set(recording.temperatures) == {"air", "column", "force_sensor"}
+    # one visit: 3 s of motion, 7 s settling, three targets of 2 s each
+    np.testing.assert_allclose(np.diff(recording.time), 16.0, atol=1e-3)
+
+
+def test_what_the_run_was_made_with_is_in_the_recording(situation: Situation) -> None:
+    situation.run()
+    with RecordingFile.open(situation.out) as file:
+        meta = file.meta()
+        assert meta["campaign"] == SCRIPT
+        assert meta["machine_sha256"] == situation.machine.sha256
+        assert "canopen" in meta["versions"]
+        shots = file.shots(1)
+    assert [target for target, _ in shots] == ["P1", "P2", "P3", "wrench"]
+    assert shots[0][1]["ppm"] == 0.5
+
+
+def test_a_load_change_is_asked_for_once_and_logged_with_baselines_around_it(situation: Situation) -> None:
+    situation.run()
+    assert situation.put_on == ["empty", "box"]
+    assert situation.events("load change")[1] == "box: 50 kg put on by automatic"
+    assert situation.events("baseline") == [
+        "before the change to load empty", "after the change to load empty",
+        "before the change to load box", "after the change to load box", "after the last visit",
+    ]  # fmt: skip
+
+
+def test_a_run_that_failed_goes_on_where_it_stopped(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "drive fault 0x8611, following error"))
+    with pytest.raises(DriveFault, match="yaw: drive fault 0x8611"):
+        situation.run()
+    assert situation.axes.stops > 0
+    assert situation.axes.closed
+    assert situation.tracker.closed
+    assert situation.sensor.closed
+    assert situation.indices() == [0, 1, 2, 3]
+    assert situation.events("fault") == ["yaw: drive fault 0x8611, following error"]
+    situation.axes.trouble = None
+    situation.run()
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    assert len(situation.axes.moves) == 6
+    assert situation.put_on == ["empty", "box", "box"]  # after a resume nobody knows what is on the couch
+
+
+def test_a_finished_campaign_moves_nothing_more(situation: Situation) -> None:
+    situation.run()
+    situation.run()
+    assert len(situation.axes.moves) == 6
+
+
+def test_another_script_does_not_go_on_in_the_same_recording(situation: Situation, tmp_path: Path) -> None:
+    situation.axes.trouble = (2, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    other = Situation(tmp_path, SCRIPT.replace("settle_s: 7", "settle_s: 8"))
+    with pytest.raises(RecordingError, match=r"trial\.db: was begun with another campaign script") as caught:
+        other.run()
+    assert "\n" not in str(caught.value)
+    assert other.axes.moves == []
+
+
+def test_a_clock_set_back_is_refused_before_anything_moves(situation: Situation) -> None:
+    situation.axes.trouble = (2, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    situation.axes.trouble = None
+    situation.clock = situation.axes.clock = situation.tracker.clock = SteppedClock()
+    with pytest.raises(RecordingError, match="cannot be continued: its last visit is of 2026-03-02T06:"):
+        situation.run()
+    assert len(situation.axes.moves) == 2
+
+
+def test_ctrl_c_stops_the_axes_and_keeps_what_was_measured(situation: Situation) -> None:
+    situation.axes.trouble = (3, KeyboardInterrupt())
+    with pytest.raises(Stopped, match="stopped by the operator"):
+        situation.run()
+    assert situation.axes.stops > 0
+    assert situation.indices() == [0, 1, 2]
+    assert situation.events("stopped") == ["interrupted"]
+
+
+def test_a_lost_beam_stops_the_run_unless_the_script_says_skip(situation: Situation, tmp_path: Path) -> None:
+    situation.tracker.lost = {"P2"}
+    with pytest.raises(BeamLost, match="tracker: no target found at P2"):
+        situation.run()
+    assert situation.indices() == []
+    (tmp_path / "lenient").mkdir()
+    lenient = Situation(tmp_path / "lenient", "on_lost_beam: skip\n" + SCRIPT)
+    lenient.tracker.lost = {"P2"}
+    lenient.run()
+    seen = load_recording(lenient.out, lenient.machine).seen
+    assert seen[:, 0].all()
+    assert not seen[:, 1].any()
+    assert len(lenient.events("beam lost")) == 6
+
+
+def test_a_skipped_visit_stays_out_for_good(situation: Situation) -> None:
+    situation.run(Scripted(situation, None, Command.SKIP))
+    assert situation.indices() == [0, 2, 3, 4, 5]
+    situation.run()
+    assert situation.indices() == [0, 2, 3, 4, 5]
+
+
+def test_redo_measures_the_visit_before_again(situation: Situation) -> None:
+    situation.run(Scripted(situation, None, None, Command.REDO))
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    visited = [tuple(move.values()) for move in situation.axes.moves]
+    setpoints = [v.setpoints for v in situation.plan.visits]
+    assert visited == [*setpoints[:2], setpoints[1], *setpoints[2:]]
+    load_recording(situation.out, situation.machine)  # times still run forwards
+
+
+def test_pause_waits_and_abort_leaves_a_recording_that_can_go_on(situation: Situation) -> None:
+    with pytest.raises(Stopped, match="before visit 3 of 6"):
+        situation.run(Scripted(situation, None, Command.PAUSE, Command.GO_ON, Command.ABORT))
+    assert situation.events("paused") == ["before visit 1"]
+    assert situation.indices() == [0, 1]
+    situation.run()
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path) -> None:
+    situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
+    situation.thermometer.values = [21.0, 24.5, 24.0, 22.5]
+    situation.run()
+    assert situation.events("suspended") == ["suspended: column at 24.50 °C, outside 18 … 23 °C"]
+    assert len(situation.events("released")) == 1
+    first = load_recording(situation.out, situation.machine).time[0]
+    assert first - situation.clock.utc().timestamp() + situation.clock.now() == pytest.approx(120 + 10, abs=1)
+
+
+def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:
+    seen: list[tuple[Array, Array, Array]] = []
+
+    def shifted(wanted: Array, wrench: Array, now: Array) -> Array:
+        seen.append((wanted, wrench, now))
+        return wanted + 1e-3 * np.eye(6)[0]
+
+    situation.run(setpoint_map=shifted)
+    recording = load_recording(situation.out, situation.machine)
+    wanted = recording.covariates["wanted_lateral"]
+    np.testing.assert_allclose(recording.q_cmd[:, 0] - wanted, 1e-3, atol=2e-9)
+    assert seen[5][1][1] == pytest.approx(-490.3325)  # the load was on when the wrench was read
+    np.testing.assert_allclose(seen[5][2], recording.q[4], atol=1e-8)  # the pose that the wrench belongs to
+
+
+def test_a_correction_beyond_a_limit_moves_nothing(situation: Situation) -> None:
+    with pytest.raises(CampaignError, match=r"visit 0 \(a\), corrected: joint lateral at .* outside its limits"):
+        situation.run(setpoint_map=lambda wanted, wrench, now: wanted + 5.0)
+    assert situation.axes.moves == []
+
+
+def test_a_compensated_run_is_not_continued_without_its_correction(situation: Situation) -> None:
+    situation.axes.trouble = (2, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run(setpoint_map=lambda wanted, wrench, now: wanted, map_label="calibration 12ab")
+    situation.axes.trouble = None
+    with pytest.raises(RecordingError, match=r"another setpoint correction \(calibration , now as planned\)"):
+        situation.run()
+
+
+def test_progress_counts_visits_and_the_seconds_left(situation: Situation) -> None:
+    heard: list[Progress] = []
+    situation.run(progress=heard.append)
+    assert [(p.done, p.total) for p in heard] == [(k, 6) for k in range(1, 7)]
+    assert heard[-1].seconds_left == pytest.approx(0.0, abs=1e-6)
+    assert heard[0].seconds_left == pytest.approx(sum(situation.plan.durations[1:]))
+
+
+def test_closing_goes_through_every_device_even_when_one_fails(situation: Situation) -> None:
+    situation.tracker.close_error = HardwareError("tracker", "port is gone")
+    with pytest.raises(HardwareError, match="port is gone"):
+        situation.run()
+    assert situation.sensor.closed
+    assert situation.axes.closed
+
+
+def test_the_operator_answers_with_name_and_mass_at_the_console() -> None:
+    out = io.StringIO()
+    console = ConsoleOperator(io.StringIO("\nAnn 148.5\n\nabort\n"), out)
+    box = LoadCase("box", 150.0, (0.0, 0.1, 0.2))
+    assert console.change_load(box) == Answer("Ann", 148.5)  # the empty line had no name to fall back on
+    assert console.change_load(box) == Answer("Ann", 150.0)
+    assert "put on 'box': 150 kg" in out.getvalue()
+    with pytest.raises(Stopped, match="at the change to load box"):
+        console.change_load(box)
+    with pytest.raises(Stopped, match="nobody answers"):
+        console.change_load(box)
