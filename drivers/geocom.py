@@ -1,7 +1,7 @@
 """A Leica total station or tracker over GeoCOM ASCII, by way of `geocompy`.
 
-Axes of the tracker's frame: z along the standing axis, upwards; y where the horizontal circle reads zero; x to its right.
-Leica counts Hz clockwise seen from above, and V from the zenith:
+Axes of the tracker's frame: z along the standing axis, upwards; y where the horizontal circle reads zero; x to the
+right of y. Leica counts Hz clockwise seen from above, and V from the zenith:
 
     x = d sin V sin Hz,   y = d sin V cos Hz,   z = d cos V
 
