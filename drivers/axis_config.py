@@ -1,0 +1,103 @@
+"""What a site says of one axis: its drive, its scale both ways, its limits, how it approaches a target.
+
+Checked when it is made, so that a mistake shows before anything is connected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ppshw.errors import SiteError, SoftLimit
+
+
+@dataclass(frozen=True)
+class HomingConfig:
+    """Speeds in SI units per second; `offset` is the axis position at the home switch."""
+
+    method: int
+    offset: float = 0.0
+    fast: float | None = None
+    slow: float | None = None
+    timeout_s: float = 120.0
+
+
+@dataclass(frozen=True)
+class AxisConfig:
+    """One axis of a machine. Positions in m or rad, as `unit` says; counts = direction·counts_per_unit·(q − offset).
+
+    window, window_s     at rest means within `window` of the target for `window_s`
+    following_window     the drive's following-error window; None leaves what is in the drive
+    approach_from        side that the final approach comes from: −1 from below, +1 from above, None as it comes
+    approach_distance    length of that final approach
+    velocity_units       drive velocity units per count/s, where a maker deviates from the standard; acceleration alike
+    parameters           further objects (index, sub-index) → value, written and read back before all else
+    """
+
+    name: str
+    node_id: int
+    counts_per_unit: float
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+    deceleration: float | None = None
+    direction: int = 1
+    offset: float = 0.0
+    unit: str = "m"
+    window: float = 5e-5
+    window_s: float = 0.05
+    following_window: float | None = None
+    following_s: float = 0.1
+    approach_from: int | None = None
+    approach_distance: float = 0.0
+    velocity_units: float = 1.0
+    acceleration_units: float = 1.0
+    homing: HomingConfig | None = None
+    vendor: int | None = None
+    product: int | None = None
+    firmware: str | None = None
+    parameters: Mapping[tuple[int, int], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        positive = ("counts_per_unit", "velocity", "acceleration", "window", "velocity_units", "acceleration_units")
+        for what in positive:
+            if not (math.isfinite(getattr(self, what)) and getattr(self, what) > 0):
+                raise SiteError(f"{self.name}: {what} must be positive, not {getattr(self, what)!r}")
+        if self.direction not in (-1, 1):
+            raise SiteError(f"{self.name}: direction must be -1 or 1, not {self.direction!r}")
+        if self.approach_from not in (None, -1, 1):
+            raise SiteError(f"{self.name}: approach_from must be -1, 1 or null, not {self.approach_from!r}")
+        if self.approach_from is not None and self.approach_distance <= 0:
+            raise SiteError(f"{self.name}: approach_from needs a positive approach_distance")
+        if not self.lower < self.upper:
+            raise SiteError(f"{self.name}: limits {self.lower:g} … {self.upper:g} leave no travel")
+        if not 1 <= self.node_id <= 127:
+            raise SiteError(f"{self.name}: node id {self.node_id} is not in 1 … 127")
+        for end in (self.lower, self.upper):
+            if not -(2**31) <= self.to_counts(end) < 2**31:
+                raise SiteError(f"{self.name}: limit {end:g} {self.unit} is outside the drive's 32-bit counts")
+
+    def to_counts(self, position: float) -> int:
+        return round(self.direction * self.counts_per_unit * (position - self.offset))
+
+    def to_si(self, counts: float) -> float:
+        return self.offset + self.direction * counts / self.counts_per_unit
+
+    def require_within_limits(self, position: float) -> None:
+        """Half a count beyond a limit is rounding, not a violation."""
+        slack = 0.5 / self.counts_per_unit
+        if not math.isfinite(position):
+            raise SoftLimit(self.name, f"setpoint {position} is no position")
+        if position > self.upper + slack:
+            raise SoftLimit(self.name, f"setpoint {position:.6g} {self.unit} is above the limit {self.upper:g}")
+        if position < self.lower - slack:
+            raise SoftLimit(self.name, f"setpoint {position:.6g} {self.unit} is below the limit {self.lower:g}")
+
+    def travel_time(self, distance: float) -> float:
+        """Seconds for a trapezoid (or triangle) over `distance` from rest to rest."""
+        slowest = min(self.acceleration, self.deceleration or self.acceleration)
+        if distance < self.velocity**2 / slowest:
+            return 2.0 * math.sqrt(max(0.0, distance) / slowest)
+        return distance / self.velocity + self.velocity / slowest

@@ -1,0 +1,372 @@
+"""All axes of a machine on one CAN bus: they start together, and one fault stops them all.
+
+A move is a handshake (bit 4 and bit 12, two fresh process data per step), a SYNC that starts every axis at once, and a
+wait in coarse steps of machine time until each drive says "reached" and stands inside its window for the window's time.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+
+from drivers.axis_config import AxisConfig
+from drivers.canopen_bus import BusConfig, CanBus
+from drivers.cia402 import Cia402Axis
+from drivers.cia402_objects import CHANGE_AT_ONCE, ENABLE, NEW_SET_POINT, PROFILE_POSITION, Snapshot, State
+from drivers.homing import home
+from drivers.ports import Clock, DeviceInfo, MoveReport
+from ppshw.errors import BadInput, BusLost, DriveFault, HardwareError, HardwareTimeout, SiteError, Stopped
+
+log = logging.getLogger(__name__)
+
+HANDSHAKE_TIMEOUT = 0.5  # s; some 25 SYNCs, a drive needs two
+MARGIN_FACTOR, MARGIN_S = 1.5, 5.0  # a move may take this much longer than its trapezoid before it is given up
+
+
+class Cia402Group:
+    """The AxisGroup of a CANopen machine. Connects in check() or start(), not before."""
+
+    def __init__(self, axes: Sequence[AxisConfig], bus: BusConfig, clock: Clock) -> None:
+        self.names: Sequence[str] = tuple(axis.name for axis in axes)
+        if not axes:
+            raise SiteError("a group needs at least one axis")
+        for what, values in (("name", self.names), ("node id", [axis.node_id for axis in axes])):
+            if len(set(values)) < len(values):
+                raise SiteError(f"two axes have the same {what}: {', '.join(map(str, values))}")
+        self._configs = {axis.name: axis for axis in axes}
+        self._clock = clock
+        self._bus = CanBus(bus, clock)
+        self._axes: dict[str, Cia402Axis] = {}
+        self._approach = dict.fromkeys(self.names, 0)
+        self._started = False
+
+    def axis(self, name: str) -> Cia402Axis:
+        self._connect()
+        return self._axes[name]
+
+    def _connect(self) -> None:
+        self._bus.open()
+        if not self._axes:
+            self._axes = {
+                name: Cia402Axis(config, self._bus, on_emergency=self._on_emergency)
+                for name, config in self._configs.items()
+            }
+
+    def check(self) -> list[DeviceInfo]:
+        self._connect()
+        return [axis.info() for axis in self._axes.values()]
+
+    def start(self) -> None:
+        self._connect()
+        for axis in self._axes.values():
+            axis.check_identity()
+        self._bus.stopped = False
+        try:
+            for axis in self._axes.values():
+                axis.target = None
+                axis.configure()
+            self._started = True
+            self._exchange(expect_enabled=False)
+            for axis in self._axes.values():
+                axis.enable()
+            for axis in self._axes.values():
+                if axis.config.homing is not None and not axis.homed:
+                    home(axis, self._bus)
+            self._exchange()
+        except BaseException:
+            self.quick_stop()
+            raise
+
+    def home(self, name: str) -> None:
+        """Home one axis again, homed or not."""
+        self.raise_if_faulty()
+        try:
+            home(self.axis(name), self._bus)
+        except BaseException:
+            self.quick_stop()
+            raise
+
+    def reset_faults(self) -> None:
+        """Acknowledge the faults of all drives; enables none. start() goes on from there."""
+        self._connect()
+        for axis in self._axes.values():
+            axis.reset_fault()
+
+    def positions(self) -> dict[str, float]:
+        if self._started:
+            self._exchange(expect_enabled=False)
+        return {name: self._position(axis) for name, axis in self._axes.items()}
+
+    def close(self) -> None:
+        """Disable every drive (brakes close), leave the bus."""
+        if self._bus.is_open and self._started:
+            for axis in self._axes.values():
+                try:
+                    axis.disable()
+                except HardwareError as error:
+                    log.warning("closing: %s", error)
+        self._started = False
+        self._axes = {}
+        self._bus.close()
+
+    def __enter__(self) -> Cia402Group:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # stopping
+
+    def quick_stop(self) -> None:
+        """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show. Best
+        effort: whatever fails is logged, because the reason for stopping is what must be heard."""
+        try:
+            self._stop_at_once()
+            if not self._axes:
+                return
+            silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
+            for axis in self._axes.values():
+                if axis.node_id in silent:
+                    continue
+                if axis.state() is State.OPERATION_ENABLED:
+                    log.warning("%s: did not obey quick stop by process data, powering off", axis.name)
+                    axis.disable()
+        except Exception as error:
+            log.error("quick stop: %s", error)
+        finally:
+            for axis in self._axes.values():
+                axis.target = None
+
+    def _on_emergency(self) -> None:
+        """Called in the receiving thread; a bus that we only look at is left alone."""
+        if self._started:
+            self._stop_at_once()
+
+    def _stop_at_once(self) -> None:
+        """No waiting and no SDO, so that it can be done the moment an emergency comes in."""
+        with self._bus.commanding:
+            self._bus.stopped = True
+            for axis in self._axes.values():
+                try:
+                    axis.send_quick_stop()
+                except Exception as error:
+                    log.error("quick stop of %s: %s", axis.name, error)
+            try:
+                self._bus.sync()
+            except Exception as error:
+                log.error("quick stop: %s", error)
+
+    # supervision
+
+    def raise_if_faulty(self) -> None:
+        if not self._started:
+            return
+        try:
+            self._raise_trouble()
+            silences = {axis.name: silence for axis in self._axes.values() if (silence := axis.silence())}
+            self._raise_silence(silences)
+        except BaseException:
+            self.quick_stop()
+            raise
+
+    def _raise_trouble(self) -> None:
+        self._bus.check()
+        for axis in self._axes.values():
+            if (trouble := axis.trouble()) is not None:
+                raise trouble
+
+    def _raise_silence(self, silences: Mapping[str, HardwareError]) -> None:
+        if not silences:
+            return
+        if len(silences) == len(self._axes) > 1:
+            raise BusLost(self._bus.config.name, f"silent: nothing from {', '.join(silences)}")
+        raise next(iter(silences.values()))
+
+    def _exchange(self, expect_enabled: bool = True) -> None:
+        """Fresh process data from every axis, or the reason why not."""
+        silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
+        self._raise_trouble()
+        axes = self._axes.values()
+        self._raise_silence({a.name: a.silent_after_sync() for a in axes if a.node_id in silent})
+        self._raise_silence({a.name: s for a in axes if (s := a.silence())})
+        if not expect_enabled:
+            return
+        if self._bus.stopped:
+            raise Stopped("the axes were quick-stopped; start them again")
+        for axis in axes:
+            state = _snapshot(axis).state
+            if state is not State.OPERATION_ENABLED:
+                raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
+
+    # moving
+
+    def move(self, setpoints: Mapping[str, float]) -> MoveReport:
+        legs = self._plan(setpoints)
+        ended_at = self._clock.now()
+        try:
+            if not self._started:
+                raise HardwareError("axes", "not started")
+            self.raise_if_faulty()
+            self._exchange()
+            for leg in legs():
+                ended_at = self._run_leg(leg)
+        except BaseException:
+            self.quick_stop()
+            raise
+        positions = {name: self._position(axis) for name, axis in self._axes.items()}
+        return MoveReport(positions, dict(self._approach), ended_at)
+
+    def _plan(self, setpoints: Mapping[str, float]) -> Callable[[], Iterable[dict[str, int]]]:
+        """Every limit is checked here, before anything moves."""
+        starts: dict[str, float] = {}
+        for name, setpoint in setpoints.items():
+            if name not in self._configs:
+                raise BadInput(f"no axis is called {name!r}; the axes are {', '.join(self.names)}")
+            config = self._configs[name]
+            config.require_within_limits(setpoint)
+            if config.approach_from is not None:
+                starts[name] = setpoint + config.approach_from * config.approach_distance
+                config.require_within_limits(starts[name])
+
+        def legs() -> Iterable[dict[str, int]]:
+            final = {name: self._configs[name].to_counts(q) for name, q in setpoints.items()}
+            detours = {
+                name: self._configs[name].to_counts(q)
+                for name, q in starts.items()
+                if self._needs_detour(name, q, final[name])
+            }
+            if detours:
+                yield final | detours
+            yield final
+
+        return legs
+
+    def _needs_detour(self, name: str, start: float, target: int) -> bool:
+        """Whether the axis would otherwise come from the wrong side, or from too near."""
+        axis, config = self._axes[name], self._configs[name]
+        if axis.target == target:
+            return False
+        assert config.approach_from is not None
+        here = config.to_si(self._departure(axis))
+        return (here - start) * config.approach_from < 0
+
+    def _departure(self, axis: Cia402Axis) -> int:
+        return axis.target if axis.target is not None else _snapshot(axis).counts
+
+    def _run_leg(self, targets: Mapping[str, int]) -> float:
+        moving: list[Cia402Axis] = []
+        duration = 0.0
+        for name, target in targets.items():
+            axis = self._axes[name]
+            if axis.target == target:
+                continue
+            distance = target - self._departure(axis)
+            if distance:
+                self._approach[name] = axis.config.direction * (1 if distance > 0 else -1)
+            duration = max(duration, axis.config.travel_time(abs(distance) / axis.config.counts_per_unit))
+            axis.target = target
+            moving.append(axis)
+        if not moving:
+            return self._clock.now()
+        started = self._start_together(moving)
+        return self._wait_until_at_rest(started, duration)
+
+    def _start_together(self, moving: Sequence[Cia402Axis]) -> float:
+        """Targets out, one SYNC for all. Returns when the SYNC went out."""
+        if any(_snapshot(a).acknowledged or _snapshot(a).mode != PROFILE_POSITION for a in moving):
+            self._command(moving, ENABLE)
+            self._shake_hands(
+                moving,
+                lambda s: not s.acknowledged and s.mode == PROFILE_POSITION,
+                "is not ready for a set-point in profile position mode",
+            )
+        self._command(moving, ENABLE | NEW_SET_POINT | CHANGE_AT_ONCE)
+        started = self._clock.now()
+        self._shake_hands(moving, lambda s: s.acknowledged, "does not acknowledge its set-point (bit 12)")
+        self._command(moving, ENABLE)
+        self._shake_hands(moving, lambda s: not s.acknowledged, "does not take back its acknowledgement (bit 12)")
+        return started
+
+    def _command(self, axes: Sequence[Cia402Axis], controlword: int) -> None:
+        for axis in axes:
+            axis.command(self._departure(axis), controlword)
+
+    def _shake_hands(self, axes: Sequence[Cia402Axis], done: Callable[[Snapshot], bool], otherwise: str) -> None:
+        """The first process data were sampled at the SYNC that carried the command; the second answer it."""
+        deadline = self._clock.now() + HANDSHAKE_TIMEOUT
+        self._exchange()
+        while True:
+            self._clock.sleep(self._bus.config.sync_period)
+            self._exchange()
+            laggard = next((axis for axis in axes if not done(_snapshot(axis))), None)
+            if laggard is None:
+                return
+            if self._clock.now() > deadline:
+                state = _snapshot(laggard).state
+                raise HardwareTimeout(laggard.name, f"{otherwise} within {HANDSHAKE_TIMEOUT:g} s, {state}")
+
+    def _wait_until_at_rest(self, started: float, duration: float) -> float:
+        """Returns when the last axis came to rest: the begin of the time that it then stayed at rest."""
+        expected_end = started + duration
+        deadline = started + MARGIN_FACTOR * duration + MARGIN_S
+        at_rest_since: dict[str, float] = {}
+        while True:
+            now = self._clock.now()
+            self._clock.sleep(self._next_look(now, expected_end, at_rest_since))
+            self._exchange()
+            now = self._clock.now()
+            for axis in self._axes.values():
+                if _is_at_rest(axis):
+                    at_rest_since.setdefault(axis.name, now)
+                else:
+                    at_rest_since.pop(axis.name, None)
+            if all(
+                axis.name in at_rest_since and now - at_rest_since[axis.name] >= axis.config.window_s - 1e-9
+                for axis in self._axes.values()
+            ):
+                return max(at_rest_since.values())
+            if now > deadline:
+                raise self._late(now - started, at_rest_since)
+
+    def _next_look(self, now: float, expected_end: float, at_rest_since: Mapping[str, float]) -> float:
+        config = self._bus.config
+        if now < expected_end:
+            return min(config.poll_period, max(config.sync_period, expected_end - now))
+        if len(at_rest_since) == len(self._axes):
+            until = max(since + self._configs[name].window_s for name, since in at_rest_since.items())
+            return min(config.poll_period, max(1e-3, until - now))
+        return config.sync_period
+
+    def _late(self, after: float, at_rest_since: Mapping[str, float]) -> HardwareTimeout:
+        axes = list(self._axes.values())
+        axis = next((a for a in axes if a.name not in at_rest_since), axes[-1])
+        config, snapshot = axis.config, _snapshot(axis)
+        gap = (self._departure(axis) - snapshot.counts) / config.counts_per_unit
+        reached = "set" if snapshot.target_reached else "not set"
+        limited = ", limited by the drive (bit 11)" if snapshot.statusword & 0x0800 else ""
+        return HardwareTimeout(
+            axis.name,
+            f"not at rest on its target {after:.1f} s after the start: {abs(gap):.3g} {config.unit} away, "
+            f"'target reached' {reached}{limited}, {snapshot.state}",
+        )
+
+    def _position(self, axis: Cia402Axis) -> float:
+        return axis.position() if axis.snapshot is None else axis.config.to_si(axis.snapshot.counts)
+
+
+def _snapshot(axis: Cia402Axis) -> Snapshot:
+    if axis.snapshot is None:
+        raise axis.silent_after_sync()
+    return axis.snapshot
+
+
+def _is_at_rest(axis: Cia402Axis) -> bool:
+    """On its target by the drive's word and by our own measure; an axis that was never sent anywhere rests."""
+    if axis.target is None:
+        return True
+    snapshot = _snapshot(axis)
+    window = axis.config.window * axis.config.counts_per_unit
+    return snapshot.target_reached and abs(snapshot.counts - axis.target) <= window

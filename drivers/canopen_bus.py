@@ -1,0 +1,235 @@
+"""One CAN bus: the adapter, SYNC, waiting for process data, and SDO access that says who refused what.
+
+Built on canopen's Network and RemoteNode. SDO clients are not thread-safe, so each node has one lock; callbacks run in
+the receiving thread, so they never read by SDO and never raise. A lost adapter shows only in `Network.check()`.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+import threading
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from drivers.ports import Clock
+from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout
+
+log = logging.getLogger(__name__)
+
+NO_SUCH_OBJECT = (0x06020000, 0x06090011)
+
+
+@dataclass(frozen=True)
+class BusConfig:
+    """The bus of a group of axes.
+
+    can                python-can's own arguments: interface, channel, bitrate, sleep_after_open, …
+    sync_period        SYNC while shaking hands; 10–20 ms is sane at 500 kbit/s                      [s]
+    poll_period        longest time between two SYNCs while axes travel; faults reported by EMCY are acted on at
+                       once all the same. 0.1 s on site; 1 s where simulated time makes polls the main cost  [s]
+    heartbeat_period   what the drives are told to send; `heartbeat_timeout` without one is HeartbeatLost     [s]
+    answer_timeout     a node that sends no process data this long after SYNC is silent                       [s]
+    host_node_id       when given, the host sends a heartbeat as this node and the drives are told to watch it, so that
+                       they stop by themselves when this program dies. Sent in real time: not for simulated time.
+    """
+
+    can: Mapping[str, Any]
+    sync_period: float = 0.02
+    poll_period: float = 1.0
+    heartbeat_period: float = 0.5
+    heartbeat_timeout: float = 1.5
+    answer_timeout: float = 0.5
+    sdo_timeout: float = 0.3
+    host_node_id: int | None = None
+    host_heartbeat_period: float = 0.2
+
+    @property
+    def name(self) -> str:
+        return f"CAN {self.can.get('interface', '?')} {self.can.get('channel', '?')}"
+
+
+class CanBus:
+    """`arrival` is notified when process data, a heartbeat or an emergency came in.
+
+    `stopped` bars every motion command from the moment of a quick stop until the group is started again; it is read
+    and set under `commanding`, so that no command slips out after the stop.
+    """
+
+    def __init__(self, config: BusConfig, clock: Clock) -> None:
+        self.config = config
+        self.clock = clock
+        self.arrival = threading.Condition()
+        self.commanding = threading.RLock()
+        self.stopped = False
+        self._network: canopen.Network | None = None
+        self._pending: set[int] = set()
+
+    @property
+    def network(self) -> canopen.Network:
+        if self._network is None:
+            raise BusLost(self.config.name, "not open")
+        return self._network
+
+    @property
+    def is_open(self) -> bool:
+        return self._network is not None
+
+    def open(self) -> None:
+        if self._network is not None:
+            return
+        network = canopen.Network()
+        network.NOTIFIER_CYCLE = 0.1  # how long closing may take; the default is a second
+        try:
+            network.connect(ignore_config=True, **self.config.can)
+        except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
+            raise BusLost(self.config.name, f"cannot be opened: {error}") from error
+        self._network = network
+        if self.config.host_node_id is not None:
+            network.send_periodic(0x700 + self.config.host_node_id, b"\x05", self.config.host_heartbeat_period)
+
+    def close(self) -> None:
+        network, self._network = self._network, None
+        if network is None:
+            return
+        try:
+            network.disconnect()
+        except (can.CanError, OSError) as error:
+            log.warning("%s: closed after it was lost: %s", self.config.name, error)
+
+    def check(self) -> None:
+        try:
+            self.network.check()
+        except Exception as error:  # whatever has ended the receiving thread
+            raise BusLost(self.config.name, str(error)) from error
+
+    def send(self, can_id: int, data: bytes) -> None:
+        try:
+            self.network.send_message(can_id, data)
+        except (can.CanError, OSError, RuntimeError) as error:
+            raise BusLost(self.config.name, f"cannot send: {error}") from error
+
+    def sync(self) -> None:
+        self.send(0x80, b"")
+
+    def received(self, node_id: int) -> None:
+        """Process data of `node_id` came in; called from the receiving thread."""
+        with self.arrival:
+            self._pending.discard(node_id)
+            if not self._pending:
+                self.arrival.notify_all()
+
+    def exchange(self, node_ids: Collection[int]) -> set[int]:
+        """One SYNC, and process data from each node. Returns the nodes that stayed silent."""
+        with self.arrival:
+            self._pending = set(node_ids)
+        self.sync()
+        with self.arrival:
+            self.clock.wait_for(self.arrival, lambda: not self._pending, self.config.answer_timeout)
+            silent = set(self._pending)
+        if silent:
+            self.check()
+        return silent
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An object of the standard: address and struct format, so that no maker's EDS is needed to talk to a drive."""
+
+    index: int
+    subindex: int
+    format: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.name} 0x{self.index:04X}:{self.subindex:02X}"
+
+
+class SdoPort:
+    """Object access on one node, one transfer at a time. Nothing is retried."""
+
+    def __init__(self, device: str, node: canopen.RemoteNode, bus: CanBus) -> None:
+        self._device = device
+        self._sdo = node.sdo
+        self._sdo.RESPONSE_TIMEOUT = bus.config.sdo_timeout
+        self._bus = bus
+        self._lock = threading.Lock()
+
+    def read(self, entry: Entry) -> int:
+        value = self.read_if_present(entry)
+        if value is None:
+            raise ConfigurationMismatch(self._device, f"has no {entry}")
+        return value
+
+    def read_if_present(self, entry: Entry) -> int | None:
+        raw = self.upload(entry)
+        if raw is None:
+            return None
+        size = struct.calcsize(entry.format)
+        # some drives answer with four bytes whatever the object's size
+        return int(struct.unpack("<" + entry.format, raw[:size].ljust(size, b"\0"))[0])
+
+    def text_if_present(self, index: int) -> str | None:
+        raw = self.upload(Entry(index, 0, "", "text"))
+        return None if raw is None else raw.rstrip(b"\0").decode("latin-1").strip()
+
+    def write(self, entry: Entry, value: int) -> None:
+        if not self.write_if_present(entry, value):
+            raise ConfigurationMismatch(self._device, f"has no {entry}")
+
+    def write_if_present(self, entry: Entry, value: int) -> bool:
+        try:
+            data = struct.pack("<" + entry.format, value)
+        except struct.error as error:
+            raise ConfigurationMismatch(self._device, f"{entry}: {value} does not fit: {error}") from error
+        try:
+            self._transfer(entry, data)
+        except SdoAbortedError as error:
+            if error.code in NO_SUCH_OBJECT:
+                return False
+            raise ConfigurationMismatch(self._device, f"{entry}: {value} refused: {error}") from error
+        return True
+
+    def set(self, entry: Entry, value: int) -> None:
+        """Write, read back, compare."""
+        self.write(entry, value)
+        self._compare(entry, value)
+
+    def set_if_present(self, entry: Entry, value: int) -> bool:
+        if not self.write_if_present(entry, value):
+            return False
+        self._compare(entry, value)
+        return True
+
+    def upload(self, entry: Entry) -> bytes | None:
+        """Raw bytes, or None when the drive has no such object."""
+        try:
+            return self._transfer(entry, None)
+        except SdoAbortedError as error:
+            if error.code in NO_SUCH_OBJECT:
+                return None
+            raise ConfigurationMismatch(self._device, f"{entry} cannot be read: {error}") from error
+
+    def _compare(self, entry: Entry, value: int) -> None:
+        found = self.read(entry)
+        if found != value:
+            raise ConfigurationMismatch(self._device, f"{entry}: wrote {value}, read back {found}")
+
+    def _transfer(self, entry: Entry, data: bytes | None) -> bytes:
+        with self._lock:
+            try:
+                if data is None:
+                    return bytes(self._sdo.upload(entry.index, entry.subindex))
+                self._sdo.download(entry.index, entry.subindex, data)
+                return b""
+            except SdoCommunicationError as error:
+                self._bus.check()
+                waited = self._bus.config.sdo_timeout
+                raise HardwareTimeout(self._device, f"no SDO answer on {entry} within {waited:g} s") from error
+            except (can.CanError, OSError, RuntimeError) as error:
+                raise BusLost(self._bus.config.name, str(error)) from error

@@ -1,0 +1,349 @@
+"""One CiA 402 servo drive as an axis in SI units: identity, configuration, state machine, homing, set-points.
+
+Built on canopen's SDO client and PDO maps, not on its BaseNode402 (docs: hardware traps). No maker's EDS is needed: the
+objects used here have the standard's types, and parameters beyond them take the size that the drive reports.
+
+Process data: RPDO 1 carries target, mode and controlword **in that order** (a drive that sees the controlword first
+latches the old target), TPDO 1 statusword, position and mode. Both are synchronous: what the host sends takes effect at
+the next SYNC, and the answer to it is in the TPDO after that.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import canopen
+from canopen.emcy import EmcyError
+from canopen.pdo import PdoMap
+
+from drivers.axis_config import AxisConfig
+from drivers.canopen_bus import CanBus, Entry, SdoPort
+from drivers.cia402_objects import (
+    ACCELERATION,
+    CONSUMER_HEARTBEAT,
+    CONTROLWORD,
+    DECELERATION,
+    DISABLE_VOLTAGE,
+    ERROR_CODE,
+    ERROR_REGISTER,
+    FAULT_RESET,
+    FOLLOWING_TIME,
+    FOLLOWING_WINDOW,
+    LIMIT_HIGH,
+    LIMIT_LOW,
+    MODE,
+    MODE_DISPLAY,
+    NEXT_COMMAND,
+    POSITION,
+    POSITION_TIME,
+    POSITION_WINDOW,
+    PRODUCER_HEARTBEAT,
+    PRODUCT,
+    PROFILE_POSITION,
+    QUICK_STOP,
+    REVISION,
+    SERIAL,
+    STATUSWORD,
+    TARGET,
+    VELOCITY,
+    VENDOR,
+    Snapshot,
+    State,
+    decode_state,
+    pdo_dictionary,
+)
+from drivers.emcy import meaning
+from drivers.ports import DeviceInfo
+from ppshw.errors import (
+    ConfigurationMismatch,
+    DriveFault,
+    FollowingError,
+    HardwareError,
+    HardwareTimeout,
+    HeartbeatLost,
+    IdentityMismatch,
+    Stopped,
+)
+
+
+class Cia402Axis:
+    """A drive on an open bus. `on_emergency` is called from the receiving thread and must neither block nor raise."""
+
+    def __init__(self, config: AxisConfig, bus: CanBus, on_emergency: Callable[[], None] = lambda: None) -> None:
+        self.config = config
+        self.name = config.name
+        self.node_id = config.node_id
+        self.homed = False
+        self.target: int | None = None  # last commanded target [counts]; None: not known
+        self.snapshot: Snapshot | None = None
+        self._bus = bus
+        self._on_emergency = on_emergency
+        self._emergency: int | None = None
+        self._restarted = False
+        self._supervised = False
+        self._last_heard = bus.clock.now()
+        self._node = canopen.RemoteNode(config.node_id, pdo_dictionary(config.node_id))
+        bus.network.add_node(self._node)
+        self.sdo = SdoPort(config.name, self._node, bus)
+        self._node.emcy.add_callback(self._heard_emergency)
+        self._node.nmt.add_heartbeat_callback(self._heard_heartbeat)
+        self._rpdo: PdoMap = self._node.rpdo[1]
+        self._tpdo: PdoMap = self._node.tpdo[1]
+        self._tpdo.add_callback(self._heard_process_data)
+
+    # callbacks: receiving thread; no SDO, nothing raised
+
+    def _heard_emergency(self, message: EmcyError) -> None:
+        if message.code & 0xFF00 == 0:  # error reset
+            return
+        self._emergency = int(message.code)
+        self._on_emergency()
+        with self._bus.arrival:
+            self._bus.arrival.notify_all()
+
+    def _heard_heartbeat(self, nmt_state: int) -> None:
+        self._last_heard = self._bus.clock.now()
+        if nmt_state == 0 and self._supervised:
+            self._restarted = True
+        with self._bus.arrival:
+            self._bus.arrival.notify_all()
+
+    def _heard_process_data(self, pdo: PdoMap) -> None:
+        if len(pdo.data) >= 7:  # a shorter one is not what was mapped: the node then counts as silent
+            self.snapshot = Snapshot(*struct.unpack_from("<Hib", pdo.data))
+            self._bus.received(self.node_id)
+
+    # who and how
+
+    def info(self) -> DeviceInfo:
+        """Reads only."""
+        vendor, product, revision = (self.sdo.read_if_present(e) for e in (VENDOR, PRODUCT, REVISION))
+        model = f"{self.sdo.text_if_present(0x1008) or 'drive'} (vendor {_hex(vendor)}, product {_hex(product)})"
+        firmware = self.sdo.text_if_present(0x100A) or f"revision {_hex(revision)}"
+        status = f"{self.state()}, at {self.position():.6f} {self.config.unit}, heartbeat {self._heartbeat_status()}"
+        try:
+            self.check_identity()
+        except IdentityMismatch as mismatch:
+            status += f", WRONG DEVICE: {mismatch.cause}"
+        serial = self.sdo.read_if_present(SERIAL)
+        return DeviceInfo(self.name, model, "" if serial is None else str(serial), firmware, status)
+
+    def _heartbeat_status(self) -> str:
+        period_ms = self.sdo.read_if_present(PRODUCER_HEARTBEAT)
+        if not period_ms:
+            return "off"
+        since = self._bus.clock.now()
+        with self._bus.arrival:
+            heard = self._bus.clock.wait_for(
+                self._bus.arrival, lambda: self._last_heard > since, 2.5 * period_ms / 1000.0
+            )
+        return "ok" if heard else f"missing (set to {period_ms} ms)"
+
+    def check_identity(self) -> None:
+        for entry, wanted in ((VENDOR, self.config.vendor), (PRODUCT, self.config.product)):
+            found = self.sdo.read_if_present(entry)
+            if wanted is not None and found != wanted:
+                raise IdentityMismatch(self.name, f"{entry.name} is {_hex(found)}, expected {_hex(wanted)}")
+        if self.config.firmware is not None:
+            firmware = self.sdo.text_if_present(0x100A)
+            if firmware != self.config.firmware:
+                raise IdentityMismatch(self.name, f"firmware is {firmware!r}, expected {self.config.firmware!r}")
+
+    def state(self) -> State:
+        """By SDO: true also before the first process data."""
+        return decode_state(self.sdo.read(STATUSWORD))
+
+    def position(self) -> float:
+        return self.config.to_si(self.sdo.read(POSITION))
+
+    # configuration
+
+    def configure(self) -> None:
+        """Write the configuration and read it back; the node is OPERATIONAL afterwards, the drive not enabled."""
+        self._supervised, self._restarted = False, False
+        self._node.nmt.state = "PRE-OPERATIONAL"
+        for (index, subindex), value in self.config.parameters.items():
+            self.sdo.set(self._entry_of_reported_size(index, subindex), value)
+        self._configure_motion()
+        self._map_process_data()
+        self.sdo.set(PRODUCER_HEARTBEAT, round(self._bus.config.heartbeat_period * 1000))
+        host = self._bus.config.host_node_id
+        if host is not None:
+            watch_ms = round(self._bus.config.host_heartbeat_period * 5000)
+            self.sdo.set_if_present(CONSUMER_HEARTBEAT, host << 16 | watch_ms)
+        self.snapshot = None
+        self._node.nmt.state = "OPERATIONAL"
+        self._last_heard = self._bus.clock.now()
+        self._supervised = True
+
+    def _configure_motion(self) -> None:
+        c = self.config
+        per_s, per_s2 = c.counts_per_unit * c.velocity_units, c.counts_per_unit * c.acceleration_units
+        self.sdo.set(VELOCITY, max(1, round(c.velocity * per_s)))
+        self.sdo.set(ACCELERATION, max(1, round(c.acceleration * per_s2)))
+        self.sdo.set_if_present(DECELERATION, max(1, round((c.deceleration or c.acceleration) * per_s2)))
+        low, high = sorted((c.to_counts(c.lower), c.to_counts(c.upper)))
+        self.sdo.set_if_present(LIMIT_LOW, low)
+        self.sdo.set_if_present(LIMIT_HIGH, high)
+        self.sdo.set_if_present(POSITION_WINDOW, max(1, round(c.window * c.counts_per_unit)))
+        self.sdo.set_if_present(POSITION_TIME, round(c.window_s * 1000))
+        if c.following_window is not None:
+            self.sdo.set_if_present(FOLLOWING_WINDOW, max(1, round(c.following_window * c.counts_per_unit)))
+            self.sdo.set_if_present(FOLLOWING_TIME, round(c.following_s * 1000))
+
+    def _entry_of_reported_size(self, index: int, subindex: int) -> Entry:
+        probe = Entry(index, subindex, "", "parameter")
+        raw = self.sdo.upload(probe)
+        if raw is None:
+            raise ConfigurationMismatch(self.name, f"has no {probe}")
+        signed = self.config.parameters[index, subindex] < 0
+        code = {1: "b", 2: "h", 4: "i", 8: "q"}.get(len(raw))
+        if code is None:
+            raise ConfigurationMismatch(self.name, f"{probe} is {len(raw)} bytes long, not a number")
+        return Entry(index, subindex, code if signed else code.upper(), "parameter")
+
+    def _map_process_data(self) -> None:
+        for pdo, base, objects in (
+            (self._rpdo, 0x1400, (TARGET, MODE, CONTROLWORD)),
+            (self._tpdo, 0x1800, (STATUSWORD, POSITION, MODE_DISPLAY)),
+        ):
+            cob_id = self.sdo.read(Entry(base, 1, "I", "COB-ID"))
+            pdo.cob_id = pdo.predefined_cob_id
+            pdo.rtr_allowed = not cob_id & 1 << 30  # some drives accept only their own value of that bit
+            pdo.trans_type = 1
+            pdo.enabled = True
+            pdo.clear()
+            for entry in objects:
+                pdo.add_variable(entry.index, entry.subindex)
+            try:
+                pdo.save()
+            except canopen.SdoAbortedError as error:
+                raise ConfigurationMismatch(self.name, f"PDO 0x{base:04X} cannot be mapped: {error}") from error
+            self._compare_mapping(base, pdo)
+
+    def _compare_mapping(self, base: int, pdo: PdoMap) -> None:
+        wanted = [v.index << 16 | v.subindex << 8 | v.length for v in pdo.map]
+        count = self.sdo.read(Entry(base + 0x200, 0, "B", "mapping"))
+        found = [self.sdo.read(Entry(base + 0x200, k + 1, "I", "mapping")) for k in range(count)]
+        if found != wanted:
+            shown = " ".join(f"{entry:08X}" for entry in found)
+            raise ConfigurationMismatch(self.name, f"PDO 0x{base:04X} is mapped to [{shown}] instead")
+        cob_id = self.sdo.read(Entry(base, 1, "I", "COB-ID"))
+        kind = self.sdo.read(Entry(base, 2, "B", "transmission type"))
+        if cob_id & 0x800007FF != pdo.cob_id or kind != 1:
+            raise ConfigurationMismatch(self.name, f"PDO 0x{base:04X} reads back COB-ID 0x{cob_id:X}, type {kind}")
+
+    # state machine
+
+    def enable(self, timeout: float = 5.0) -> None:
+        """Mode 1 and OPERATION ENABLED, step by step. A drive in FAULT stays there: see reset_fault()."""
+        deadline = self._bus.clock.now() + timeout
+        self._select_profile_position(deadline)
+        last = None
+        while True:
+            state = self.state()
+            if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+                raise self._drive_fault()
+            if state is State.OPERATION_ENABLED:
+                return
+            if self._bus.clock.now() > deadline:
+                raise HardwareTimeout(self.name, f"still {state} {timeout:g} s after enable")
+            if state in NEXT_COMMAND:
+                self.sdo.write(CONTROLWORD, NEXT_COMMAND[state])
+            if state is last:
+                self._bus.clock.sleep(self._bus.config.sync_period)
+            last = state
+
+    def _select_profile_position(self, deadline: float) -> None:
+        self.sdo.write(MODE, PROFILE_POSITION)
+        while (shown := self.sdo.read(MODE_DISPLAY)) != PROFILE_POSITION:
+            if self._bus.clock.now() > deadline:
+                raise HardwareTimeout(self.name, f"refuses mode {PROFILE_POSITION} (profile position), shows {shown}")
+            self._bus.clock.sleep(self._bus.config.sync_period)
+
+    def disable(self) -> None:
+        """Power off the motor; the drive leaves OPERATION ENABLED at once."""
+        self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
+
+    def reset_fault(self, timeout: float = 2.0) -> None:
+        """Acknowledge a fault. Never enables: no bit that could is set in either controlword."""
+        if self.state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
+            self.sdo.write(CONTROLWORD, FAULT_RESET)
+            deadline = self._bus.clock.now() + timeout
+            while (state := self.state()) is State.FAULT:
+                if self._bus.clock.now() > deadline:
+                    raise HardwareTimeout(self.name, f"still {state} {timeout:g} s after fault reset")
+                self._bus.clock.sleep(self._bus.config.sync_period)
+            self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
+        self._emergency, self._restarted, self.snapshot, self.target = None, False, None, None
+
+    # process data
+
+    def command(self, target: int, controlword: int, mode: int = PROFILE_POSITION) -> None:
+        """Takes effect at the next SYNC."""
+        with self._bus.commanding:
+            if self._bus.stopped:
+                raise Stopped(f"{self.name}: the axes were quick-stopped; start them again")
+            self._send(target, controlword, mode)
+
+    def send_quick_stop(self) -> None:
+        counts = self.snapshot.counts if self.snapshot else 0
+        self._send(counts, QUICK_STOP, self.snapshot.mode if self.snapshot else PROFILE_POSITION)
+
+    def _send(self, target: int, controlword: int, mode: int) -> None:
+        self._bus.send(0x200 + self.node_id, struct.pack("<ibH", target, mode, controlword))
+
+    # supervision
+
+    def trouble(self) -> HardwareError | None:
+        """What process data, emergencies and boot-ups say is wrong with this drive."""
+        snapshot = self.snapshot
+        if snapshot is not None and snapshot.off_course and snapshot.mode == PROFILE_POSITION:
+            return self._following_error(snapshot)
+        if self._emergency is not None or (snapshot is not None and snapshot.state is State.FAULT):
+            return self._drive_fault()
+        if self._restarted:
+            return DriveFault(self.name, "restarted by itself (boot-up message); its configuration is gone")
+        return None
+
+    def silence(self) -> HeartbeatLost | None:
+        """A heartbeat that is overdue, after messages in flight have had their chance."""
+        clock, limit = self._bus.clock, self._bus.config.heartbeat_timeout
+        if clock.now() - self._last_heard <= limit:
+            return None
+        with self._bus.arrival:
+            seen = self._last_heard
+            if clock.wait_for(self._bus.arrival, lambda: self._last_heard != seen, 0.1):
+                return None
+        silent = clock.now() - self._last_heard
+        return HeartbeatLost(self.name, f"no heartbeat for {silent:.1f} s (node {self.node_id})")
+
+    def silent_after_sync(self) -> HeartbeatLost:
+        waited, heard = self._bus.config.answer_timeout, self._bus.clock.now() - self._last_heard
+        text = f"no process data within {waited:g} s of SYNC, last heartbeat {heard:.1f} s ago"
+        return HeartbeatLost(self.name, f"{text} (node {self.node_id})")
+
+    def _following_error(self, snapshot: Snapshot) -> FollowingError:
+        c = self.config
+        aim = "no target" if self.target is None else f"target {c.to_si(self.target):.6g} {c.unit}"
+        text = f"following error at {c.to_si(snapshot.counts):.6g} {c.unit}, {aim}"
+        if self.target is not None:
+            text += f", {abs(snapshot.counts - self.target) / c.counts_per_unit:.3g} {c.unit} to go"
+        if c.following_window is not None:
+            text += f" (window {c.following_window:g} {c.unit} for {c.following_s:g} s)"
+        return FollowingError(self.name, text)
+
+    def _drive_fault(self) -> DriveFault:
+        code = self._emergency
+        if code is None:
+            code = self.sdo.read_if_present(ERROR_CODE)
+        if code is None:
+            register = self.sdo.read_if_present(ERROR_REGISTER)
+            return DriveFault(self.name, f"drive fault without a code, error register {_hex(register)}")
+        return DriveFault(self.name, f"drive fault 0x{code:04X}, {meaning(code)}")
+
+
+def _hex(value: int | None) -> str:
+    return "not given" if value is None else f"0x{value:X}"

@@ -1,0 +1,90 @@
+"""Homing by the drive (CiA 402 mode 6), with a handshake that tells this homing from the one before.
+
+After a homing the drive goes on saying "attained" until the next one has begun. So a result counts only after the
+drive has said "in progress"; methods that take the present position for home may never say so, and are given two
+fresh process data instead.
+
+    statusword bits 13, 12, 10:  000 in progress   001 not started   011 done   1·· homing error
+"""
+
+from __future__ import annotations
+
+from drivers.canopen_bus import CanBus
+from drivers.cia402 import Cia402Axis
+from drivers.cia402_objects import (
+    ENABLE,
+    HOME_IN_PLACE,
+    HOME_OFFSET,
+    HOMING,
+    HOMING_FAST,
+    HOMING_METHOD,
+    HOMING_SLOW,
+    NEW_SET_POINT,
+    PROFILE_POSITION,
+    Snapshot,
+    State,
+)
+from ppshw.errors import DriveFault, HardwareTimeout, SiteError
+
+START_TIMEOUT = 1.0  # s; a drive that has not begun by then is not going to (a guess, generous)
+
+
+def home(axis: Cia402Axis, bus: CanBus) -> None:
+    """Home an enabled axis; `axis.homed` says afterwards that its positions can be trusted."""
+    homing = axis.config.homing
+    if homing is None:
+        raise SiteError(f"{axis.name}: no homing method is configured")
+    axis.homed = False
+    axis.target = None
+    c = axis.config
+    axis.sdo.set(HOMING_METHOD, homing.method)
+    axis.sdo.set_if_present(HOME_OFFSET, c.to_counts(homing.offset))
+    for entry, speed in ((HOMING_FAST, homing.fast), (HOMING_SLOW, homing.slow)):
+        if speed is not None:
+            axis.sdo.set(entry, max(1, round(speed * c.counts_per_unit * c.velocity_units)))
+    _command(axis, bus, HOMING, ENABLE)
+    _command(axis, bus, HOMING, ENABLE | NEW_SET_POINT)
+    _wait_until_attained(axis, bus, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)
+    _command(axis, bus, PROFILE_POSITION, ENABLE)
+    axis.homed = True
+
+
+def _wait_until_attained(axis: Cia402Axis, bus: CanBus, timeout: float, in_place: bool) -> None:
+    began = bus.clock.now()
+    in_progress = in_place
+    while True:
+        snapshot = _fresh(axis, bus)
+        if snapshot.state is not State.OPERATION_ENABLED:
+            raise axis.trouble() or DriveFault(axis.name, f"left homing: {snapshot.state}")
+        if snapshot.off_course:
+            raise DriveFault(axis.name, f"homing error, statusword 0x{snapshot.statusword:04X}")
+        in_progress |= not snapshot.acknowledged and not snapshot.target_reached
+        if in_progress and snapshot.acknowledged and snapshot.target_reached:
+            return
+        waited = bus.clock.now() - began
+        if not in_progress and waited > START_TIMEOUT:
+            raise HardwareTimeout(axis.name, f"homing has not begun after {waited:.1f} s, {snapshot.state}")
+        if waited > timeout:
+            raise HardwareTimeout(axis.name, f"homing not finished after {waited:.1f} s, {snapshot.state}")
+        bus.clock.sleep(bus.config.sync_period)
+
+
+def _command(axis: Cia402Axis, bus: CanBus, mode: int, controlword: int) -> None:
+    """Send, and wait until two fresh process data have come and the drive shows the mode."""
+    hold = axis.snapshot.counts if axis.snapshot else 0
+    axis.command(hold, controlword, mode)
+    began = bus.clock.now()
+    _fresh(axis, bus)
+    while (snapshot := _fresh(axis, bus)).mode != mode:
+        if bus.clock.now() - began > START_TIMEOUT:
+            raise HardwareTimeout(axis.name, f"refuses mode {mode}, shows {snapshot.mode}")
+        bus.clock.sleep(bus.config.sync_period)
+
+
+def _fresh(axis: Cia402Axis, bus: CanBus) -> Snapshot:
+    if bus.exchange([axis.node_id]):
+        raise axis.trouble() or axis.silent_after_sync()
+    if (trouble := axis.trouble()) is not None:
+        raise trouble
+    assert axis.snapshot is not None
+    return axis.snapshot
