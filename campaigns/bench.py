@@ -68,13 +68,17 @@ class Bench:
         return found
 
     def temperatures(self) -> dict[str, float]:
-        """Place → °C of every thermometer. A place that two of them claim is a HardwareError."""
-        found: dict[str, float] = {"air": self.atmosphere().temperature_c}
+        """Place → °C of every thermometer; `air` is the tracker's atmosphere where no thermometer hangs there.
+
+        A place that two thermometers claim is a HardwareError.
+        """
+        found: dict[str, float] = {}
         for thermometer in self.thermometers:
             for place, value in thermometer.read().items():
                 if place in found:
                     raise HardwareError("thermometers", f"two of them report a place called '{place}'")
                 found[place] = value
+        found.setdefault("air", self.atmosphere().temperature_c)
         return found
 
     def stop(self) -> None:

@@ -36,12 +36,17 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """Real time; `speed` > 1 runs a simulated plant in another process faster than real time."""
+    """Real time; `speed` > 1 runs a simulated plant in another process faster than real time.
 
-    def __init__(self, speed: float = 1.0) -> None:
+    epoch   seconds since 1970 at which hurried time and real time agreed: every process that is given the same epoch and
+            speed reads the same time of day, so that a run that is taken up again finds it later and not earlier
+    """
+
+    def __init__(self, speed: float = 1.0, epoch: float | None = None) -> None:
         self.speed = speed
         self._monotonic_0 = time.monotonic()
-        self._utc_0 = time.time()
+        real = time.time()
+        self._utc_0 = real if epoch is None else epoch + (real - epoch) * speed
 
     def now(self) -> float:
         return (time.monotonic() - self._monotonic_0) * self.speed

@@ -1,0 +1,324 @@
+"""Site file (YAML) → Site → Bench: which machine stands here, on which bus and ports, with which scales. docs/site.md.
+
+Reading a site file opens nothing. `open_bench` makes the drivers, and they connect when they are checked or started.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaigns.bench import STANDARD_AIR, Bench, nominal_aim
+from campaigns.operator import AutomaticOperator, ConsoleOperator, Operator
+from campaigns.remote_operator import put_on_by_line
+from drivers.axis_config import AxisConfig, HomingConfig
+from drivers.axis_group import Cia402Group
+from drivers.bota import BotaSensor
+from drivers.canopen_bus import BusConfig
+from drivers.geocom import GeoComTracker
+from drivers.gsv8 import Gsv8Sensor
+from drivers.ports import Atmosphere, Clock, ForceSensor, Thermometer, Tracker, WallClock
+from drivers.serial_port import Port
+from drivers.thermometer_file import FileThermometer
+from ppshw.errors import SiteError
+from ppshw.machine import Joint, Machine, load_machine
+from ppshw.strict_yaml import Section, read_yaml
+from ppshw.transforms import from_xyz_rpy
+
+Array = NDArray[np.float64]
+# A device of the site, made when the bench is opened: (clock, what a port's name stands for) → driver.
+Ports = Mapping[str, Port]
+
+
+@dataclass(frozen=True)
+class Site:
+    """speed, epoch: only for simulated hardware in another process, see WallClock."""
+
+    name: str
+    machine: Machine
+    bus: BusConfig
+    axes: tuple[AxisConfig, ...]
+    make_tracker: Callable[[Clock, Ports], Tracker]
+    make_force_sensor: Callable[[Clock, Ports], ForceSensor] | None
+    make_thermometers: tuple[Callable[[Clock], Thermometer], ...]
+    air: Atmosphere
+    air_temperature_from: str | None
+    tracker_in_base: Array
+    operator: tuple[str, str]
+    speed: float
+    epoch: float | None
+    file: str
+    text: str
+    sha256: str
+
+    def clock(self) -> WallClock:
+        return WallClock(self.speed, self.epoch)
+
+    def make_operator(self) -> Operator:
+        """Who puts loads on: a person at this terminal, or the simulated operator at the site's control line."""
+        kind, port = self.operator
+        return ConsoleOperator() if kind == "console" else AutomaticOperator(partial(put_on_by_line, port), "simulated")
+
+
+def load_site(path: Path | str, machine: Machine | None = None) -> Site:
+    """Read and check a site file and the machine file it names. Raises SiteError (or MachineFileError)."""
+    path = Path(path)
+    top = read_yaml(path, SiteError)
+    named = top.text("machine")
+    machine = machine or load_machine(path.parent / named)
+    clock = _clock(top)
+    tracker_section = top.need("tracker")
+    pose = _rough_pose(tracker_section, machine)
+    air, temperature_from = _air(tracker_section)
+    site = Site(
+        name=top.text("name"),
+        machine=machine,
+        bus=_bus(top),
+        axes=_axes(top, machine),
+        make_tracker=_tracker(tracker_section),
+        make_force_sensor=_force_sensor(top),
+        make_thermometers=tuple(_thermometer(s, path.parent) for s in top.sections("thermometers", optional=True)),
+        air=air,
+        air_temperature_from=temperature_from,
+        tracker_in_base=pose,
+        operator=_operator(top),
+        speed=clock[0],
+        epoch=clock[1],
+        file=str(path),
+        text=path.read_text(encoding="utf-8"),
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
+    tracker_section.done()
+    top.done()
+    return site
+
+
+def open_bench(site: Site, clock: Clock | None = None, ports: Ports | None = None) -> Bench:
+    """The drivers of a site. Use as a context manager; nothing is connected before check() or start().
+
+    clock  by default the site's
+    ports  what a port's name in the site file stands for, where it is no real port (hardware simulated in-process)
+    """
+    clock = clock or site.clock()
+    ports = ports or {}
+    thermometers = tuple(make(clock) for make in site.make_thermometers)
+    return Bench(
+        axes=Cia402Group(site.axes, site.bus, clock),
+        tracker=site.make_tracker(clock, ports),
+        force_sensor=None if site.make_force_sensor is None else site.make_force_sensor(clock, ports),
+        clock=clock,
+        aim=nominal_aim(site.machine, site.tracker_in_base),
+        thermometers=thermometers,
+        atmosphere=partial(_air_now, site, thermometers),
+        notes={"site": site.text, "site_name": site.name, "site_sha256": site.sha256},
+    )
+
+
+def _air_now(site: Site, thermometers: tuple[Thermometer, ...]) -> Atmosphere:
+    place = site.air_temperature_from
+    if place is None:
+        return site.air
+    for thermometer in thermometers:
+        if place in (found := thermometer.read()):
+            return Atmosphere(found[place], site.air.pressure_hpa, site.air.humidity_pct)
+    raise SiteError(f"{site.file}: tracker.atmosphere takes its temperature from '{place}', but no thermometer is there")
+
+
+# --- sections ------------------------------------------------------------------------------------------------
+def _clock(top: Section) -> tuple[float, float | None]:
+    section = top.section("clock", optional=True)
+    if section is None:
+        return 1.0, None
+    speed, epoch = section.number("speed", low=1e-3, high=1e5), section.number("epoch", default=None)
+    section.done()
+    return speed, epoch
+
+
+def _bus(top: Section) -> BusConfig:
+    section = top.need("can")
+    given = section.plain("bus")
+    if not isinstance(given, dict) or not all(isinstance(key, str) for key in given):
+        section.fail("'can.bus' must hold python-can's own arguments: interface, channel, bitrate, …", "bus")
+    names = ("sync_period", "poll_period", "heartbeat_period", "heartbeat_timeout", "answer_timeout", "sdo_timeout")
+    times = {n: section.number(n, low=1e-4) for n in names if n in section}
+    host = section.integer("host_node_id", low=1, high=127) if "host_node_id" in section else None
+    config = BusConfig(given, host_node_id=host, **times)
+    section.done()
+    return config
+
+
+def _axes(top: Section, machine: Machine) -> tuple[AxisConfig, ...]:
+    section = top.need("axes")
+    axes = [_axis(section.need(joint.name), joint, section) for joint in machine.joints]
+    section.done()
+    nodes = [axis.node_id for axis in axes]
+    for axis in axes:
+        if nodes.count(axis.node_id) > 1:
+            section.fail(f"axis {axis.name}: node {axis.node_id} is given to two axes", axis.name)
+    return tuple(axes)
+
+
+def _axis(s: Section, joint: Joint, axes: Section) -> AxisConfig:
+    """Limits and speeds are the machine file's; the site may be slower, never faster or wider."""
+    if joint.limits is None:
+        axes.fail(f"joint {joint.name} has no limits in the machine file; without limits nothing is moved", joint.name)
+    speeds = [_speed(s, key, getattr(joint.limits, key)) for key in ("velocity", "acceleration")]
+    side = s.text("approach_from", default="", choices=("below", "above")) if "approach_from" in s else ""
+    config = _site_error(
+        s, AxisConfig,
+        name=joint.name,
+        node_id=s.integer("node", low=1, high=127),
+        counts_per_unit=s.number("counts_per_unit", low=1e-9),
+        lower=joint.limits.lower,
+        upper=joint.limits.upper,
+        velocity=speeds[0],
+        acceleration=speeds[1],
+        deceleration=s.number("deceleration", default=None, low=1e-9),
+        direction=s.integer("direction", default=1, low=-1, high=1),
+        offset=s.number("offset", default=0.0),
+        unit=joint.unit,
+        window=s.number("window", default=5e-5, low=1e-12),
+        window_s=s.number("window_s", default=0.05, low=0.0),
+        following_window=s.number("following_window", default=None, low=1e-12),
+        following_s=s.number("following_s", default=0.1, low=0.0),
+        approach_from={"below": -1, "above": 1, "": None}[side],
+        approach_distance=s.number("approach_distance", default=0.0, low=0.0),
+        velocity_units=s.number("velocity_units", default=1.0, low=1e-12),
+        acceleration_units=s.number("acceleration_units", default=1.0, low=1e-12),
+        homing=_homing(s),
+        vendor=s.integer("vendor") if "vendor" in s else None,
+        product=s.integer("product") if "product" in s else None,
+        firmware=s.text("firmware") if "firmware" in s else None,
+        parameters=_parameters(s),
+    )  # fmt: skip
+    s.done()
+    assert isinstance(config, AxisConfig)
+    return config
+
+
+def _speed(s: Section, key: str, allowed: float | None) -> float:
+    if key in s:
+        value = float(s.number(key, low=1e-9))
+        if allowed is not None and value > allowed:
+            s.fail(f"'{s.path(key)}' is {value:g}, the machine file allows {allowed:g}", key)
+        return value
+    if allowed is None:
+        s.fail(f"missing key '{s.path(key)}': neither the machine file nor the site file gives it")
+    return allowed
+
+
+def _homing(s: Section) -> HomingConfig | None:
+    section = s.section("homing", optional=True)
+    if section is None:
+        return None
+    config = HomingConfig(
+        method=section.integer("method", low=-128, high=127),
+        offset=section.number("offset", default=0.0),
+        fast=section.number("fast", default=None, low=1e-9),
+        slow=section.number("slow", default=None, low=1e-9),
+        timeout_s=section.number("timeout_s", default=120.0, low=0.1),
+    )
+    section.done()
+    return config
+
+
+def _parameters(s: Section) -> dict[tuple[int, int], int]:
+    """`"0x6080:0": 3000`, as a concise configuration has them."""
+    section = s.section("parameters", optional=True)
+    out: dict[tuple[int, int], int] = {}
+    for key in section.keys() if section is not None else ():  # noqa: SIM118
+        assert section is not None
+        index, _, sub = key.partition(":")
+        try:
+            out[int(index, 0), int(sub or "0", 0)] = section.integer(key)
+        except ValueError:
+            section.fail(f"'{section.path(key)}' is no object; expected index:subindex such as 0x6080:0", key)
+    return out
+
+
+def _tracker(s: Section) -> Callable[[Clock, Ports], Tracker]:
+    s.text("protocol", choices=("geocom",))
+    port = s.text("port")
+    options: dict[str, Any] = {"baudrate": s.integer("baud", default=115200, low=300)}
+    if "serial_number" in s:
+        options["serial_number"] = s.integer("serial_number")
+    options |= {k: s.text(k) for k in ("prism",) if k in s}
+    numbers = ("wavelength_um", "reference_index", "search_rad", "gate_m", "timeout_s")
+    options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
+    options |= {k: s.flag(k) for k in ("checksum",) if k in s}
+    return lambda clock, ports: _site_error(s, GeoComTracker, ports.get(port, port), clock, **options)
+
+
+def _force_sensor(top: Section) -> Callable[[Clock, Ports], ForceSensor] | None:
+    s = top.section("force_sensor", optional=True)
+    if s is None:
+        return None
+    protocol, port = s.text("protocol", choices=("bota", "gsv8")), s.text("port")
+    options: dict[str, Any] = {"baudrate": s.integer("baud", low=300)} if "baud" in s else {}
+    options |= {k: s.integer(k, low=1) for k in ("samples", "sinc_length") if k in s and protocol == "bota"}
+    options |= {k: s.integer(k, low=1) for k in ("samples",) if k in s and protocol == "gsv8"}
+    numbers = ("timeout_s",) if protocol == "bota" else ("timeout_s", "force_limit", "moment_limit", "rate")
+    options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
+    options |= {"zero": s.vector("zero", 6).tolist()} if "zero" in s else {}
+    if "matrix" in s:
+        flat = s.vector("matrix", 36)
+        options["matrix"] = flat.reshape(6, 6).tolist()
+    s.done()
+    driver: Any = BotaSensor if protocol == "bota" else Gsv8Sensor
+    return lambda clock, ports: _site_error(s, driver, ports.get(port, port), clock, **options)
+
+
+def _thermometer(s: Section, folder: Path) -> Callable[[Clock], Thermometer]:
+    s.text("protocol", choices=("file",))
+    path, age = folder / s.text("path"), s.number("max_age_s", default=300.0, low=0.0)
+    s.done()
+    return lambda clock: FileThermometer(path, clock, max_age_s=age)
+
+
+def _air(tracker: Section) -> tuple[Atmosphere, str | None]:
+    s = tracker.section("atmosphere", optional=True)
+    if s is None:
+        return STANDARD_AIR, None
+    place = s.text("temperature_from") if "temperature_from" in s else None
+    default = STANDARD_AIR.temperature_c
+    temperature = default if place else s.number("temperature_C", low=-40, high=60)
+    air = Atmosphere(temperature, s.number("pressure_hPa", low=500, high=1100), s.number("humidity_pct", low=0, high=100))
+    s.done()
+    return air, place
+
+
+def _rough_pose(tracker: Section, machine: Machine) -> Array:
+    """The measuring frame in the base frame: the machine file's where it is known, else the site's rough one."""
+    pose = tracker.section("pose", optional=True)
+    if pose is None:
+        if machine.tracker.base is None:
+            tracker.fail("missing key 'tracker.pose': the machine file does not know where the tracker stands")
+        return machine.tracker.base
+    out = from_xyz_rpy(pose.vector("xyz", 3), pose.vector("rpy", 3, default=(0, 0, 0)))
+    pose.done()
+    return out
+
+
+def _operator(top: Section) -> tuple[str, str]:
+    s = top.section("operator", optional=True)
+    if s is None:
+        return "console", ""
+    kind = s.text("kind", choices=("console", "simulated"))
+    port = s.text("port") if kind == "simulated" else ""
+    s.done()
+    return kind, port
+
+
+def _site_error(s: Section, make: Callable[..., Any], *args: Any, **options: Any) -> Any:
+    """A driver that refuses its settings does so with the place they stand at."""
+    try:
+        return make(*args, **options)
+    except (SiteError, ValueError, KeyError) as problem:
+        s.fail(str(problem).strip("'"))
