@@ -103,8 +103,8 @@ class Machine:
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Frames F_0 … F_n: the base, then one per joint."""
-        return ("base", *self.joint_names)
+        """Frames F_0 … F_n: the base, then one per joint (a joint may be called "base" too)."""
+        return ("ground" if "base" in self.joint_names else "base", *self.joint_names)
 
     @property
     def target_array(self) -> Array:
@@ -170,8 +170,8 @@ def _joints(top: Section) -> tuple[Joint, ...]:
     joints: list[Joint] = []
     for section in sections:
         joint = _joint(section)
-        if joint.name in [j.name for j in joints] or joint.name == "base":
-            section.fail(f"joint name '{joint.name}' is used twice or reserved", "name")
+        if joint.name in [j.name for j in joints]:
+            section.fail(f"joint name '{joint.name}' is used twice", "name")
         joints.append(joint)
     return tuple(joints)
 

@@ -95,7 +95,7 @@ def estimate(
     seen = recording.seen
     if not seen.any():
         raise IdentificationFailed(f"{recording.source}: every target of every visit was lost")
-    used = seen.any(axis=1)
+    used = np.asarray(seen.any(axis=1))
     recording, seen = recording.subset(used), seen[used]
     model, frame = _start(model, recording)
     situation = Situation.of(recording)
@@ -224,7 +224,7 @@ def _believe(system: _System, residual: Array, spread: Array, weights: Array) ->
     unweighted[:, k, k] += np.where(system.rows, 0.0, 1.0)
     distance = np.einsum("ni,ni->n", residual, np.linalg.solve(unweighted, residual[..., None])[..., 0])
     limit = chi2.ppf(0.999, system.rows.sum(axis=1))
-    return np.minimum(1.0, limit / np.maximum(distance, 1e-12))
+    return np.asarray(np.minimum(1.0, limit / np.maximum(distance, 1e-12)))
 
 
 def _fold_base(model: Model, theta: Array, frame: Array) -> tuple[Array, Array]:

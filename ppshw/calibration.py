@@ -1,0 +1,218 @@
+"""What was identified: values, uncertainty, where it is valid, and where it came from.
+
+One JSON file that a person can read: every parameter with name, value, standard deviation and unit. It is refused for
+another machine than the one it was made for.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import zlib
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw import __version__
+from ppshw.errors import CalibrationError
+from ppshw.identification.joint import Estimate
+from ppshw.identification.noise import Noise
+from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.model import Model
+from ppshw.recording import Recording
+from ppshw.terms import FrameTerm
+from ppshw.terms.elastic import Compliance
+from ppshw.terms.geometric import Geometric
+from ppshw.terms.target import TargetOffset
+
+Array = NDArray[np.float64]
+FORMAT = "ppshw calibration 1"
+# Sampled positions that are listed in full; a random campaign has one per visit and says so by its range.
+MOST_POSITIONS = 200
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A model with its parameters.
+
+    theta, covariance   (p,), (p, p)
+    measuring_in_base   (4, 4) where the instrument stood
+    joint_range         (n, 2) what was sampled of every joint                 [m, rad]
+    payload_range       (6, 2) what was sampled of the payload, sensor frame   [N, N·m]
+    provenance          method, hashes, version, date, counts
+    """
+
+    model: Model
+    theta: Array
+    covariance: Array
+    noise: Noise
+    measuring_in_base: Array
+    joint_range: Array
+    payload_range: Array
+    sampled: dict[str, list[float]]
+    provenance: dict[str, Any]
+
+    @property
+    def machine(self) -> Machine:
+        return self.model.machine
+
+    @classmethod
+    def of(cls, estimate: Estimate, recording: Recording, method: str, now: datetime | None = None) -> Calibration:
+        """From an estimate of a recording; visits without any target do not widen the valid range."""
+        used = recording.subset(estimate.weights > 0)
+        machine = estimate.model.machine
+        provenance = {
+            "method": method,
+            "machine_name": machine.name,
+            "machine_sha256": machine.sha256,
+            "recording": Path(recording.source).name,
+            "recording_sha256": recording.sha256,
+            "visits": len(recording),
+            "visits_used": len(used),
+            "readings": int(recording.seen.sum()),
+            "visits_down_weighted": int((estimate.weights[estimate.weights > 0] < 0.5).sum()),
+            "ppshw": __version__,
+            "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
+        }
+        sampled = {}
+        for k, name in enumerate(machine.joint_names):
+            positions = np.unique(np.round(used.q[:, k], 4))
+            sampled[name] = positions.tolist() if len(positions) <= MOST_POSITIONS else [positions[0], positions[-1]]
+        return cls(
+            estimate.model,
+            estimate.theta,
+            estimate.covariance,
+            estimate.noise,
+            estimate.measuring_in_base,
+            np.stack([used.q.min(axis=0), used.q.max(axis=0)], axis=1),
+            np.stack([used.wrench.min(axis=0), used.wrench.max(axis=0)], axis=1),
+            sampled,
+            provenance,
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write the file whole or not at all. Raises CalibrationError when the folder is missing."""
+        path = Path(path)
+        if not path.parent.is_dir():
+            raise CalibrationError(f"{path}: the folder {path.parent} does not exist")
+        partial = path.with_name(path.name + ".part")
+        partial.write_text(json.dumps(self._as_dict(), indent=1), encoding="utf-8")
+        os.replace(partial, path)
+
+    def _as_dict(self) -> dict[str, Any]:
+        machine, std = self.machine, np.sqrt(np.diag(self.covariance))
+        terms: list[dict[str, Any]] = []
+        at = 0
+        everything: list[FrameTerm | TargetOffset] = [*self.model.terms]
+        if self.model.target_offset is not None:
+            everything.append(self.model.target_offset)
+        for term in everything:
+            parameters = term.parameters(machine.frame_names)
+            values = [
+                {"name": p.name, "value": float(self.theta[at + k]), "std": float(std[at + k]), "unit": p.unit}
+                for k, p in enumerate(parameters)
+            ]
+            at += len(parameters)
+            terms.append({**term.as_dict(), "parameters": values})
+        return {
+            "format": FORMAT,
+            "provenance": self.provenance,
+            "valid": {
+                "joints": dict(zip(machine.joint_names, self.joint_range.tolist(), strict=True)),
+                "payload": dict(zip(WRENCH_COMPONENTS, self.payload_range.tolist(), strict=True)),
+            },
+            "sampled": self.sampled,
+            "measuring_in_base": self.measuring_in_base.tolist(),
+            "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
+            "noise": {"pose": self.noise.pose.tolist(), "instrument": self.noise.instrument},
+            "terms": terms,
+            "covariance": _pack(self.covariance),
+        }
+
+
+def load_calibration(path: Path | str, machine: Machine) -> Calibration:
+    """Read a calibration for this machine.
+
+    Raises CalibrationError when the file is missing, cut off, of another format or made for another machine file.
+    """
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such calibration") from None
+    except (UnicodeDecodeError, OSError) as exc:
+        raise CalibrationError(f"{path}: cannot be read as UTF-8 text ({exc})") from None
+    except json.JSONDecodeError as exc:
+        cut = "the file is empty" if path.stat().st_size == 0 else f"not valid JSON, or cut off ({exc})"
+        raise CalibrationError(f"{path}: {cut}") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, dict) else type(data).__name__
+        raise CalibrationError(f"{path}: expected format '{FORMAT}', found {found!r}")
+    try:
+        made_for, made_from = data["provenance"]["machine_name"], data["provenance"]["machine_sha256"]
+        if made_from != machine.sha256:
+            raise CalibrationError(
+                f"{path}: made for machine '{made_for}' (file {made_from[:12]}), "
+                f"not for '{machine.name}' ({machine.file}, {machine.sha256[:12]})"
+            )
+        calibration = _from_dict(data, machine)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, zlib.error) as exc:
+        raise CalibrationError(f"{path}: damaged: {type(exc).__name__} {exc}") from None
+    numbers = (calibration.theta, calibration.covariance, calibration.measuring_in_base)
+    if not all(np.isfinite(a).all() for a in numbers):
+        raise CalibrationError(f"{path}: damaged: holds values that are not finite numbers")
+    return calibration
+
+
+def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
+    moved = machine.with_targets({name: np.array(data["targets"][name], dtype=float) for name in machine.targets})
+    terms: list[FrameTerm] = []
+    target_offset = None
+    values: list[float] = []
+    for item in data["terms"]:
+        values += [float(p["value"]) for p in item["parameters"]]
+        if item["kind"] == "geometric":
+            terms.append(Geometric.from_dict(item))
+        elif item["kind"] == "compliance":
+            terms.append(Compliance.from_dict(item))
+        elif item["kind"] == "target_offset":
+            target_offset = TargetOffset.from_dict(item)
+        else:
+            raise ValueError(f"unknown term '{item['kind']}'")
+    model = Model(moved, tuple(terms), target_offset)
+    covariance = _unpack(data["covariance"])
+    if not len(values) == len(model.parameters()) == len(covariance):
+        raise ValueError(f"{len(values)} values for {len(model.parameters())} parameters")
+    return Calibration(
+        model,
+        np.array(values),
+        covariance,
+        Noise(np.array(data["noise"]["pose"], dtype=float).reshape(6, 6), float(data["noise"]["instrument"])),
+        np.array(data["measuring_in_base"], dtype=float).reshape(4, 4),
+        np.array([data["valid"]["joints"][j] for j in machine.joint_names], dtype=float).reshape(-1, 2),
+        np.array([data["valid"]["payload"][c] for c in WRENCH_COMPONENTS], dtype=float).reshape(6, 2),
+        data["sampled"],
+        data["provenance"],
+    )
+
+
+def _pack(covariance: Array) -> dict[str, Any]:
+    lower = covariance[np.tril_indices(len(covariance))].astype("<f8")
+    return {
+        "size": len(covariance),
+        "encoding": "lower triangle by rows, float64 little-endian, zlib, base64",
+        "data": base64.b64encode(zlib.compress(lower.tobytes(), 1)).decode(),
+    }
+
+
+def _unpack(data: dict[str, Any]) -> Array:
+    size = int(data["size"])
+    lower = np.frombuffer(zlib.decompress(base64.b64decode(data["data"])), dtype="<f8")
+    out = np.zeros((size, size))
+    out[np.tril_indices(size)] = lower
+    return out + np.tril(out, -1).T

@@ -1,0 +1,59 @@
+"""What a model misses on a recording it has not seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.calibration import Calibration
+from ppshw.errors import RecordingError
+from ppshw.identification.start import align, to_base
+from ppshw.kinematics import point_positions
+from ppshw.machine import Machine
+from ppshw.recording import Recording
+from ppshw.terms import Situation
+
+Array = NDArray[np.float64]
+
+
+def residuals(recording: Recording, calibration: Calibration) -> Array:
+    """Measured minus predicted targets: (N, T, 3) [m], base frame, nan where a target was lost."""
+    measured = to_base(recording.points, calibration.measuring_in_base)
+    return np.asarray(measured - calibration.model.predict(Situation.of(recording), calibration.theta))
+
+
+def nominal_residuals(recording: Recording, machine: Machine) -> Array:
+    """The same for the ideal machine. Where the measuring frame is unknown it is fitted to this very recording, and so
+    are the targets if they are: figures that flatter."""
+    frame, targets = machine.tracker.base, machine.target_array
+    if frame is None:
+        frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
+    return np.asarray(to_base(recording.points, frame) - point_positions(machine, recording.q, targets))
+
+
+def figures(errors: Array) -> dict[str, float]:
+    """Size of the Euclidean residual of every reading that there is.
+
+    errors   (..., 3) [m], nan where a target was lost
+    returns  rms, median, 95 %, 98.6 % (the paper's) and greatest   [mm]
+    """
+    size = np.linalg.norm(errors, axis=-1).ravel() * 1e3
+    size = size[np.isfinite(size)]
+    if not len(size):
+        raise RecordingError("the recording holds no measured target")
+    return {
+        "rms_mm": float(np.sqrt((size**2).mean())),
+        "median_mm": float(np.median(size)),
+        "p95_mm": float(np.quantile(size, 0.95)),
+        "p98_6_mm": float(np.quantile(size, 0.986)),
+        "max_mm": float(size.max()),
+    }
+
+
+def evaluate(recording: Recording, machine: Machine, calibration: Calibration | None) -> dict[str, Any]:
+    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it."""
+    nominal = figures(nominal_residuals(recording, machine))
+    mine = nominal if calibration is None else figures(residuals(recording, calibration))
+    return {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
