@@ -8,8 +8,8 @@ target recognition, and a slope distance that is right only in its reference air
 
 The air's index comes from the closed formula of the IAG (1999 resolution 3; Rüeger), not from Ciddor's equations.
 
-Faults, besides those of the line: lose_beam(target | None for all), find_beam(), wrong_transaction(), late_reply(),
-hold_ppm (a setting that does not stick).
+Faults, besides those of the line: lose_beam(target | None for all), find_beam(), wrong_transaction(), hold_reply()
+and release_reply(), hold_ppm (a setting that does not stick).
 
 Known limitations: turning and measuring take no time; one face; no tilt compensator; the nearest reflector in the field
 of view is taken even when two are there.
@@ -85,7 +85,7 @@ class SimulatedTracker(SerialDevice):
         self._prism = 0
         self._lost: set[str | None] = set()
         self._trid_shift, self._hold_reply = 0, False
-        self._held: bytes | None = None
+        self._held = b""
         self.precision = 15
         self.ppm = 0.0
         self.hold_ppm = False
@@ -124,9 +124,13 @@ class SimulatedTracker(SerialDevice):
         """The next reply carries another request's number."""
         self._trid_shift = 1
 
-    def late_reply(self) -> None:
-        """The next reply comes only together with the one after it."""
+    def hold_reply(self) -> None:
+        """The next reply is not sent until release_reply()."""
         self._hold_reply = True
+
+    def release_reply(self) -> None:
+        self._say(self._held)
+        self._held = b""
 
     # --- the wire
 
@@ -163,8 +167,7 @@ class SimulatedTracker(SerialDevice):
         if self._hold_reply:
             self._hold_reply, self._held = False, reply
             return
-        self._say((self._held or b"") + reply)
-        self._held = None
+        self._say(reply)
 
     def _number(self, value: float) -> str:
         return f"{value:.{self.precision}f}".rstrip("0").rstrip(".") or "0"
