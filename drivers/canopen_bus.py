@@ -84,7 +84,7 @@ class CanBus:
         if self._network is not None:
             return
         network = canopen.Network()
-        network.NOTIFIER_CYCLE = 0.1  # how long closing may take; the default is a second
+        network.NOTIFIER_CYCLE = 0.05  # how long closing may take; the default is a second
         try:
             network.connect(ignore_config=True, **self.config.can)
         except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
