@@ -2,9 +2,10 @@
 
 The world says what wrench the payload applies; a sensor adds Gaussian noise from its own generator.
 
-A stream is a function of the clock: `rate` frames a second fall due. What falls due between two visits of the host
-carries the wrench of the *earlier* visit, the worst case for a host that reads old frames. An in-process host that goes
-on listening gets the next frames at once; their time stamps run ahead of the clock by the milliseconds they would take.
+A stream is a function of the clock: `rate` frames a second fall due. In-process, what falls due between two visits of
+the host carries the wrench of the *earlier* visit, the worst case for a host that reads old frames; a host that goes on
+listening gets the next frames at once, with time stamps ahead of the clock by the milliseconds they would take. On a
+line with a thread the frames are those of the moment, some milliseconds late, and at most BURST of them at a time.
 
 Faults, besides those of the line: overrange(), invalid(), raw(), recover(), refuse (a command letter or code).
 
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from simulators.serial_line import BUFFER, Clock, SerialDevice
 
 Array = NDArray[np.float64]
+BURST = 32
 
 
 class ForceWorld(Protocol):
@@ -70,11 +72,14 @@ class _Sensor(SerialDevice):
         if count <= 0:
             return
         self._told_until += count / self._rate
-        kept = min(count, BUFFER // self.frame_length)  # more than a port's buffer holds is lost anyway
+        wrench_now = np.asarray(self._world.wrench(), dtype=float)
+        wrench = wrench_now if self.carried else self._wrench_then
+        # More than a port's buffer holds is lost anyway, and simulated time may run faster than any line.
+        kept = min(count, BURST if self.carried else BUFFER // self.frame_length)
         noise = self._rng.normal(0.0, self._sigma, (kept, 6))
         for i in range(kept):
-            self._say(self._frame(self._wrench_then + noise[i], self._told_until - (count - 1 - i) / self._rate))
-        self._wrench_then = np.asarray(self._world.wrench(), dtype=float)
+            self._say(self._frame(wrench + noise[i], self._told_until - (kept - 1 - i) / self._rate))
+        self._wrench_then = wrench_now
 
     def _go_on(self) -> None:
         if not self.streaming:

@@ -38,6 +38,7 @@ class Device(Protocol):
 
     plugged: bool
     streaming: bool
+    carried: bool  # by a thread that looks every few milliseconds, not by the host itself
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -56,6 +57,7 @@ class SerialDevice:
     """
 
     streaming = False
+    carried = False
 
     def __init__(self, seed: int = 0) -> None:
         self.plugged = True
@@ -203,6 +205,7 @@ class _Carrier:
 
     def __init__(self, device: Device, name: str) -> None:
         self._device = device
+        device.carried = True
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 

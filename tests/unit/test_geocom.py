@@ -159,6 +159,20 @@ def test_a_beam_that_is_interrupted_is_lost(tracker: GeoComTracker, station: Sim
     assert tracker.measure("P1", room.targets["P1"]).target == "P1"
 
 
+def test_a_beam_interrupted_after_locking_is_lost_too(
+    tracker: GeoComTracker, station: SimulatedTracker, room: Room
+) -> None:
+    original = station._rpcs[17017]
+
+    def somebody_walks_in(p: list[str]) -> tuple[int, list[str]]:
+        station.lose_beam()
+        return original(p)
+
+    station._rpcs[17017] = somebody_walks_in
+    with pytest.raises(BeamLost, match=r"no target found at P1 .*1292 TMC_DIST_ERROR"):
+        tracker.measure("P1", room.targets["P1"])
+
+
 def test_pointing_5_degrees_off_finds_nothing(tracker: GeoComTracker, room: Room) -> None:
     room.targets = {"P1": np.array([0.0, 4.0, 0.0])}
     with pytest.raises(BeamLost, match="no target found at P1"):
