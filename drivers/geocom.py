@@ -102,6 +102,8 @@ class GeoComTracker:
         timeout_s: float = 15.0,
         checksum: bool = True,
     ) -> None:
+        if prism not in Prism.__members__:
+            raise ValueError(f"no prism '{prism}'; there are {', '.join(Prism.__members__)}")
         self.name = name
         self._port, self._clock = port, clock
         self._serial_number, self._baudrate, self._prism = serial_number, baudrate, Prism[prism]

@@ -249,6 +249,11 @@ def test_what_the_instrument_refuses_is_said_with_its_code(
         tracker.measure("P1", room.targets["P1"])
 
 
+def test_a_prism_nobody_makes_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ValueError, match="no prism 'SQUARE'; there are ROUND, MINI, TAPE"):
+        GeoComTracker("/dev/null", SteppedClock(), prism="SQUARE")
+
+
 def test_without_air_there_is_no_measurement(station: SimulatedTracker, room: Room) -> None:
     tracker = GeoComTracker(LoopbackPort(station), SteppedClock())
     tracker.start()
