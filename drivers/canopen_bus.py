@@ -69,6 +69,7 @@ class CanBus:
         self.stopped = False
         self._network: canopen.Network | None = None
         self._pending: set[int] = set()
+        self._loss: Exception | None = None
 
     @property
     def network(self) -> canopen.Network:
@@ -84,12 +85,13 @@ class CanBus:
         if self._network is not None:
             return
         network = canopen.Network()
-        network.NOTIFIER_CYCLE = 0.05  # how long closing may take; the default is a second
+        network.listeners.append(_LossListener(self))  # type: ignore[arg-type]
+        network.NOTIFIER_CYCLE = 0.02  # how long closing may take; the default is a second
         try:
             network.connect(ignore_config=True, **self.config.can)
         except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
             raise BusLost(self.config.name, f"cannot be opened: {error}") from error
-        self._network = network
+        self._network, self._loss = network, None
         if self.config.host_node_id is not None:
             network.send_periodic(0x700 + self.config.host_node_id, b"\x05", self.config.host_heartbeat_period)
 
@@ -107,6 +109,14 @@ class CanBus:
             self.network.check()
         except Exception as error:  # whatever has ended the receiving thread
             raise BusLost(self.config.name, str(error)) from error
+
+    def lost(self, error: Exception) -> None:
+        """The receiving thread failed; called in it. Left alone it would end with a traceback for the operator."""
+        if self._network is not None and self._network.notifier is not None:
+            self._network.notifier.stop(timeout=0)
+        with self.arrival:
+            self._loss = error
+            self.arrival.notify_all()
 
     def send(self, can_id: int, data: bytes) -> None:
         try:
@@ -130,11 +140,26 @@ class CanBus:
             self._pending = set(node_ids)
         self.sync()
         with self.arrival:
-            self.clock.wait_for(self.arrival, lambda: not self._pending, self.config.answer_timeout)
+            self.clock.wait_for(
+                self.arrival, lambda: not self._pending or self._loss is not None, self.config.answer_timeout
+            )
             silent = set(self._pending)
         if silent:
             self.check()
         return silent
+
+
+class _LossListener(can.Listener):
+    """python-can tells listeners when receiving fails; canopen's own takes no interest."""
+
+    def __init__(self, bus: CanBus) -> None:
+        self._bus = bus
+
+    def on_message_received(self, msg: can.Message) -> None:
+        pass
+
+    def on_error(self, exc: Exception) -> None:
+        self._bus.lost(exc)
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ class CanopenNode:
             self._waiting.clear()
             self.node.data_store.clear()
         self.join_bus()
-        self.node.nmt.send_command(0)
+        self.node.nmt.state = "INITIALISING"  # sends the boot-up message
         self.node.nmt.state = PRE_OPERATIONAL
 
     def join_bus(self) -> None:

@@ -364,7 +364,7 @@ class SimulatedDriveRack:
         self.clock = clock
         self.channel = channel
         self.network = canopen.Network()
-        self.network.NOTIFIER_CYCLE = 0.05  # how long closing may take
+        self.network.NOTIFIER_CYCLE = 0.02  # how long closing may take
         self.network.connect(interface="virtual", channel=channel, ignore_config=True)
         self.drives: dict[int, SimulatedDrive] = {}
         for node_id in node_ids:

@@ -1,0 +1,167 @@
+"""One contract for every way onto the bus: inside the process, and through an slcan adapter on a TCP port."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import pytest
+
+from drivers.axis_config import AxisConfig
+from drivers.axis_group import Cia402Group
+from drivers.canopen_bus import BusConfig
+from ppshw.errors import BusLost, DriveFault, HeartbeatLost
+from simulators.can_gateway import SlcanGateway, decode, encode
+from simulators.clock import SteppedClock
+from simulators.drive import Power, SimulatedDriveRack
+
+AXES = [
+    AxisConfig(f"axis {n}", n, 100_000, -1.0, 1.0, velocity=0.1, acceleration=0.1, following_window=0.005)
+    for n in (1, 2, 3)
+]
+channels = (f"transport-{n}" for n in itertools.count())
+
+
+@dataclass
+class Machine:
+    clock: SteppedClock
+    rack: SimulatedDriveRack
+    gateway: SlcanGateway | None
+    group: Cia402Group
+
+
+def _machine(transport: str) -> Machine:
+    clock = SteppedClock()
+    rack = SimulatedDriveRack(clock, next(channels), node_ids=(1, 2, 3))
+    gateway = None
+    arguments: dict[str, Any] = {"interface": "virtual", "channel": rack.channel}
+    if transport == "slcan":
+        gateway = SlcanGateway(rack.channel)
+        arguments = {"interface": "slcan", "channel": gateway.url, "bitrate": 500_000, "sleep_after_open": 0}
+    return Machine(clock, rack, gateway, Cia402Group(AXES, BusConfig(can=arguments), clock))
+
+
+def _close(machine: Machine) -> None:
+    machine.group.close()
+    if machine.gateway is not None:
+        machine.gateway.close()
+    machine.rack.close()
+
+
+@pytest.fixture(params=["virtual", "slcan"])
+def machine(request: pytest.FixtureRequest) -> Iterator[Machine]:
+    m = _machine(request.param)
+    yield m
+    _close(m)
+
+
+@pytest.fixture
+def over_slcan() -> Iterator[Machine]:
+    m = _machine("slcan")
+    yield m
+    _close(m)
+
+
+def test_a_move_ends_on_its_setpoints(machine: Machine) -> None:
+    machine.group.start()
+    report = machine.group.move({"axis 1": 0.3, "axis 2": -0.2, "axis 3": 0.05})
+    assert [round(p) for p in machine.rack.motor_positions().values()] == [30_000, -20_000, 5_000]
+    assert report.positions == pytest.approx({"axis 1": 0.3, "axis 2": -0.2, "axis 3": 0.05}, abs=1e-5)
+    assert len({tuple(drive.starts) for drive in machine.rack.drives.values()}) == 1
+
+
+def test_check_finds_every_drive(machine: Machine) -> None:
+    assert [(i.device, i.serial) for i in machine.group.check()] == [
+        ("axis 1", "1001"),
+        ("axis 2", "1002"),
+        ("axis 3", "1003"),
+    ]
+
+
+def test_a_drive_that_trips_stops_the_others(machine: Machine) -> None:
+    machine.group.start()
+    machine.clock.at(machine.clock.now() + 3.0, lambda: machine.rack.drives[2].trip(0x3210))
+    with pytest.raises(DriveFault, match="axis 2: drive fault 0x3210, DC link overvoltage"):
+        machine.group.move({"axis 1": 1.0, "axis 2": 1.0})
+    machine.clock.sleep(2.0)
+    assert machine.rack.drives[1].power is Power.SWITCH_ON_DISABLED
+    assert machine.rack.drives[2].power is Power.FAULT
+
+
+def test_a_node_that_falls_silent_is_named(machine: Machine) -> None:
+    machine.group.start()
+    machine.rack.drives[3].go_silent()
+    machine.clock.sleep(2.0)
+    with pytest.raises(HeartbeatLost, match="axis 3: no heartbeat for"):
+        machine.group.raise_if_faulty()
+
+
+def test_an_adapter_that_is_pulled_is_a_lost_bus(over_slcan: Machine) -> None:
+    over_slcan.group.start()
+    assert over_slcan.gateway is not None
+    over_slcan.clock.at(over_slcan.clock.now() + 2.0, over_slcan.gateway.close)
+    with pytest.raises(BusLost, match=r"CAN slcan socket://127\.0\.0\.1:\d+: "):
+        over_slcan.group.move({"axis 1": 1.0})
+
+
+def test_an_adapter_that_is_not_there_is_a_lost_bus() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    arguments = {"interface": "slcan", "channel": f"socket://127.0.0.1:{port}", "sleep_after_open": 0}
+    group = Cia402Group(AXES, BusConfig(can=arguments), SteppedClock())
+    with pytest.raises(BusLost, match="cannot be opened"):
+        group.check()
+
+
+# the adapter itself: lines as the LAWICEL manual shows them
+
+
+@pytest.mark.parametrize(
+    ("line", "identifier", "extended", "data"),
+    [
+        ("t10021133", 0x100, False, b"\x11\x33"),
+        ("t0000", 0x000, False, b""),
+        ("T0000010021133", 0x100, True, b"\x11\x33"),
+    ],
+)
+def test_frames_are_read_as_the_adapters_manual_writes_them(
+    line: str, identifier: int, extended: bool, data: bytes
+) -> None:
+    message = decode(line)
+    assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (identifier, extended, data)
+    assert encode(message) == line.encode() + b"\r"
+
+
+@pytest.mark.parametrize("line", ["t1002113", "t100211", "t10091122334455667788", "t10021133FF"])
+def test_a_frame_of_another_length_than_it_says_is_refused(line: str) -> None:
+    with pytest.raises(ValueError, match=r"announced|hexadecimal|fromhex"):
+        decode(line)
+
+
+def test_an_adapter_answers_bel_to_what_it_does_not_understand() -> None:
+    with (
+        SlcanGateway(next(channels)) as gateway,
+        socket.create_connection((gateway.host, gateway.port), timeout=2.0) as client,
+    ):
+        for line, answer in ((b"Q\r", b"\a"), (b"S6\r", b"\r"), (b"t1\r", b"\a"), (b"t1000\r", b"\a"), (b"O\r", b"\r")):
+            client.sendall(line)
+            assert client.recv(16) == answer
+
+
+def test_two_clients_of_one_adapter_hear_each_other() -> None:
+    with SlcanGateway(next(channels)) as gateway:
+        buses = [
+            can.Bus(interface="slcan", channel=gateway.url, sleep_after_open=0, ignore_config=True) for _ in range(2)
+        ]
+        # an answer to a version request shows that the adapter has also seen the second client open
+        assert [bus.get_version(timeout=2.0) for bus in buses] == [(10, 13), (10, 13)]  # type: ignore[attr-defined]
+        buses[0].send(can.Message(arbitration_id=0x181, data=b"\x01\x02", is_extended_id=False))
+        heard = buses[1].recv(timeout=2.0)
+        assert heard is not None
+        assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
+        for bus in buses:
+            bus.shutdown()

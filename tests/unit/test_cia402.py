@@ -1,0 +1,488 @@
+"""CiA 402 axes against simulated drives on a virtual CAN bus. Time is stepped, nothing sleeps for a motion.
+
+slide  node 1, 100 000 counts/m, upwards           lift  node 2, 200 000 counts/m, motor turns the other way
+slew   node 3, 50 000 counts/rad, zero at 0.5 rad
+All speeds are 0.1 unit/s, all accelerations 0.1 unit/s².
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.axis_config import AxisConfig, HomingConfig
+from drivers.axis_group import Cia402Group
+from drivers.canopen_bus import BusConfig
+from drivers.cia402_objects import State, decode_state
+from drivers.emcy import meaning
+from ppshw.errors import (
+    BadInput,
+    BusLost,
+    ConfigurationMismatch,
+    DriveFault,
+    FollowingError,
+    HardwareTimeout,
+    HeartbeatLost,
+    IdentityMismatch,
+    SiteError,
+    SoftLimit,
+    Stopped,
+)
+from simulators.clock import SteppedClock
+from simulators.drive import Identity, Power, SimulatedDrive, SimulatedDriveRack
+
+SLIDE = AxisConfig("slide", 1, 100_000, -1.0, 1.0, velocity=0.1, acceleration=0.1, following_window=0.005)
+LIFT = replace(SLIDE, name="lift", node_id=2, counts_per_unit=200_000, direction=-1)
+SLEW = replace(SLIDE, name="slew", node_id=3, counts_per_unit=50_000, offset=0.5, lower=-1.5, upper=1.5, unit="rad")
+
+channels = (f"cia402-{n}" for n in itertools.count())
+
+
+class Machine:
+    """Three drives and the group that drives them."""
+
+    def __init__(self, *axes: AxisConfig, **drive: Any) -> None:
+        self.clock = SteppedClock()
+        self.rack = SimulatedDriveRack(self.clock, next(channels))
+        self.axes = axes or (SLIDE, LIFT, SLEW)
+        for axis in self.axes:
+            self.rack.add(SimulatedDrive(axis.node_id, self.clock, self.rack.network, **drive))
+        bus = BusConfig(can={"interface": "virtual", "channel": self.rack.channel}, sdo_timeout=0.2)
+        self.group = Cia402Group(self.axes, bus, self.clock)
+
+    @property
+    def drives(self) -> list[SimulatedDrive]:
+        return list(self.rack.drives.values())
+
+    def drive(self, name: str) -> SimulatedDrive:
+        return self.rack.drives[next(axis.node_id for axis in self.axes if axis.name == name)]
+
+    def after(self, seconds: float, what: Callable[[], None]) -> None:
+        self.clock.at(self.clock.now() + seconds, what)
+
+    def close(self) -> None:
+        self.group.close()
+        self.rack.close()
+
+
+@pytest.fixture
+def build() -> Iterator[Callable[..., Machine]]:
+    built: list[Machine] = []
+
+    def make(*axes: AxisConfig, **drive: Any) -> Machine:
+        built.append(Machine(*axes, **drive))
+        return built[-1]
+
+    yield make
+    for machine in built:
+        machine.close()
+
+
+@pytest.fixture
+def machine(build: Callable[..., Machine]) -> Machine:
+    """Started, all axes at zero counts: slide 0 m, lift 0 m, slew 0.5 rad."""
+    m = build()
+    m.group.start()
+    return m
+
+
+# moving
+
+
+def test_a_move_turns_every_motor_by_its_own_scale_sign_and_offset(machine: Machine) -> None:
+    report = machine.group.move({"slide": 0.25, "lift": 0.25, "slew": 0.1})
+    # 0.25 m · 100 000; −0.25 m · 200 000; (0.1 − 0.5) rad · 50 000
+    assert [round(d.motor_position()) for d in machine.drives] == [25_000, -50_000, -20_000]
+    assert report.positions == pytest.approx({"slide": 0.25, "lift": 0.25, "slew": 0.1}, abs=1e-5)
+
+
+def test_a_move_takes_as_long_as_its_longest_trapezoid(machine: Machine) -> None:
+    began = machine.clock.now()
+    report = machine.group.move({"slide": 1.0, "lift": 0.1})
+    # 1 m at 0.1 m/s and 0.1 m/s² takes 11 s; the handshake and the look at rest add some SYNCs of 20 ms
+    assert report.ended_at - began == pytest.approx(11.0, abs=0.15)
+    assert machine.clock.now() - report.ended_at >= 0.05  # it stayed at rest for its window's time
+
+
+def test_all_axes_start_at_the_same_sync(machine: Machine) -> None:
+    machine.group.move({"slide": 0.3, "lift": -0.2, "slew": 0.9})
+    starts = {tuple(drive.starts) for drive in machine.drives}
+    assert len(starts) == 1
+    assert len(starts.pop()) == 1
+
+
+def test_the_direction_of_approach_is_kept_until_an_axis_moves_again(machine: Machine) -> None:
+    assert machine.group.move({"slide": 0.1, "lift": 0.1}).approach == {"slide": 1, "lift": 1, "slew": 0}
+    assert machine.group.move({"slide": 0.05, "lift": 0.1}).approach == {"slide": -1, "lift": 1, "slew": 0}
+    assert machine.group.move({"slide": 0.05, "slew": 0.4}).approach == {"slide": -1, "lift": 1, "slew": -1}
+
+
+def test_a_move_to_where_it_stands_starts_nothing(machine: Machine) -> None:
+    machine.group.move({"slide": 0.1})
+    machine.group.move({"slide": 0.1})
+    assert len(machine.drive("slide").starts) == 1
+
+
+@pytest.mark.parametrize(("side", "direction", "turning_point"), [(-1, 1, 0.18), (1, -1, 0.22)])
+def test_the_final_approach_comes_from_the_configured_side(
+    build: Callable[..., Machine], side: int, direction: int, turning_point: float
+) -> None:
+    m = build(replace(SLIDE, approach_from=side, approach_distance=0.02))
+    m.group.start()
+    for start in (0.0, 0.5, 0.201, 0.199):
+        m.group.move({"slide": start})
+        seen: list[float] = []
+        m.clock.every(0.05, lambda seen=seen: seen.append(m.drive("slide").motor_position() / 1e5))
+        assert m.group.move({"slide": 0.2}).approach == {"slide": direction}
+        assert direction * (turning_point - min(direction * x for x in seen) * direction) > -1e-4
+
+
+def test_no_axis_moves_when_one_setpoint_is_outside_its_limits(machine: Machine) -> None:
+    with pytest.raises(SoftLimit, match=r"slew: setpoint 1\.6 rad is above the limit 1\.5"):
+        machine.group.move({"slide": 0.1, "slew": 1.6})
+    with pytest.raises(SoftLimit, match="slide: setpoint nan is no position"):
+        machine.group.move({"slide": float("nan")})
+    assert [drive.starts for drive in machine.drives] == [[], [], []]
+
+
+def test_a_final_approach_that_begins_outside_the_limits_is_refused(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLIDE, approach_from=-1, approach_distance=0.02))
+    m.group.start()
+    with pytest.raises(SoftLimit, match="below the limit"):
+        m.group.move({"slide": -0.99})
+
+
+def test_an_axis_nobody_knows_is_refused(machine: Machine) -> None:
+    with pytest.raises(BadInput, match="no axis is called 'elbow'; the axes are slide, lift, slew"):
+        machine.group.move({"elbow": 0.0})
+
+
+@given(
+    q=st.floats(-1.5, 1.5),
+    scale=st.floats(1e3, 1e8),
+    offset=st.floats(-2.0, 2.0),
+    direction=st.sampled_from([-1, 1]),
+)
+def test_counts_and_positions_are_each_others_inverse(q: float, scale: float, offset: float, direction: int) -> None:
+    axis = replace(SLEW, counts_per_unit=scale, offset=offset, direction=direction)
+    counts = axis.to_counts(q)
+    assert axis.to_si(counts) == pytest.approx(q, abs=0.5 / scale + 1e-12)
+    assert (axis.to_counts(q + 2.0 / scale) - counts) * direction > 0
+
+
+# trouble
+
+
+def test_a_tripped_drive_says_why(machine: Machine) -> None:
+    machine.drive("slew").trip(0x8611)
+    with pytest.raises(DriveFault, match=r"^slew: drive fault 0x8611, following error$"):
+        machine.group.axis("slew").enable()
+
+
+def test_a_drive_that_trips_under_way_stops_all_others(machine: Machine) -> None:
+    machine.after(3.0, lambda: machine.drive("slew").trip(0x2310))
+    with pytest.raises(DriveFault, match="slew: drive fault 0x2310, continuous overcurrent on the motor side"):
+        machine.group.move({"slide": 1.0, "lift": 1.0, "slew": 1.4})
+    machine.clock.sleep(5.0)
+    assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
+    # 3 s at 0.1 m/s less 0.05 m for speeding up is 0.25 m; noticed within one poll of 1 s, braked at 1 m/s²
+    assert 0.24 < machine.drive("slide").motor_position() / 1e5 < 0.37
+    assert machine.drive("slide").motor_velocity(machine.clock.now()) == 0.0
+
+
+def test_a_drive_that_trips_at_rest_is_found_and_stops_the_others(machine: Machine) -> None:
+    machine.group.raise_if_faulty()
+    machine.drive("lift").trip(0x3220)
+    machine.clock.sleep(1.0)
+    with pytest.raises(DriveFault, match="lift: drive fault 0x3220, DC link undervoltage"):
+        machine.group.move({"slide": 0.1})
+    assert machine.drive("slide").starts == []
+    machine.clock.sleep(0.1)
+    assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_stuck_axis_is_a_following_error_with_its_numbers(machine: Machine) -> None:
+    machine.after(2.0, machine.drive("slide").stick)
+    with pytest.raises(FollowingError, match=r"slide: following error at 0\.1\d* m, target 0\.8 m, 0\.\d+ m to go"):
+        machine.group.move({"slide": 0.8, "lift": 0.8})
+    assert machine.drive("lift").power is not Power.OPERATION_ENABLED
+
+
+def test_reached_is_believed_only_with_the_position_inside_the_window(machine: Machine) -> None:
+    machine.drive("slide").lie_about(0x6064, 19_000)  # 10 mm short, whatever the statusword says
+    with pytest.raises(
+        HardwareTimeout, match=r"slide: not at rest on its target .* 0\.01 m away, 'target reached' set, OPERATION"
+    ):
+        machine.group.move({"slide": 0.2})
+
+
+def test_a_set_point_that_is_not_acknowledged_is_no_move(machine: Machine) -> None:
+    machine.drive("lift").lie_about(0x6041, 0x0637)  # enabled and "reached", but bit 12 never comes
+    with pytest.raises(HardwareTimeout, match=r"lift: does not acknowledge its set-point \(bit 12\) within 0\.5 s"):
+        machine.group.move({"lift": 0.2})
+
+
+def test_a_node_that_falls_silent_at_rest_is_missed(machine: Machine) -> None:
+    machine.clock.sleep(2.0)
+    machine.group.raise_if_faulty()
+    machine.drive("lift").go_silent()
+    machine.clock.sleep(2.0)
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.raise_if_faulty()
+
+
+def test_a_node_that_falls_silent_under_way_stops_the_others(machine: Machine) -> None:
+    machine.after(2.0, machine.drive("slew").go_silent)
+    with pytest.raises(HeartbeatLost, match=r"slew: no process data within 0\.5 s of SYNC"):
+        machine.group.move({"slide": 1.0, "slew": 1.4})
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_silent_bus_is_told_from_a_silent_node(machine: Machine) -> None:
+    for drive in machine.drives:
+        machine.after(2.0, drive.go_silent)
+    with pytest.raises(BusLost, match=r"CAN virtual .*: silent: nothing from slide, lift, slew"):
+        machine.group.move({"slide": 1.0})
+
+
+def test_a_long_wait_between_moves_raises_no_false_alarm(machine: Machine) -> None:
+    machine.clock.sleep(600.0)
+    machine.group.raise_if_faulty()
+    machine.group.move({"slide": 0.1})
+
+
+def test_a_drive_that_restarts_by_itself_is_not_driven_on(machine: Machine) -> None:
+    machine.drive("lift").unplug()
+    machine.drive("lift").replug()
+    with pytest.raises(DriveFault, match="lift: restarted by itself"):
+        machine.group.move({"slide": 0.1})
+
+
+def test_a_drive_that_is_back_keeps_its_position(machine: Machine) -> None:
+    machine.group.move({"lift": 0.3})
+    machine.drive("lift").unplug()
+    machine.drive("lift").replug()
+    machine.group.reset_faults()
+    machine.group.start()
+    assert machine.group.positions()["lift"] == pytest.approx(0.3, abs=1e-5)
+
+
+def test_an_interrupt_by_the_operator_stops_all_axes(machine: Machine) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    machine.after(2.0, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        machine.group.move({"slide": 1.0, "lift": 1.0})
+    machine.clock.sleep(1.0)
+    assert [drive.power for drive in machine.drives] == [Power.SWITCH_ON_DISABLED] * 3
+
+
+def test_after_a_quick_stop_nothing_moves_until_the_group_is_started_again(machine: Machine) -> None:
+    machine.group.quick_stop()
+    with pytest.raises((DriveFault, Stopped), match="start"):
+        machine.group.move({"slide": 0.1})
+    machine.group.start()
+    machine.group.move({"slide": 0.1})
+    assert round(machine.drive("slide").motor_position()) == 10_000
+
+
+def test_a_quick_stop_never_raises_not_even_on_a_dead_bus(machine: Machine) -> None:
+    machine.rack.close()
+    machine.group.quick_stop()
+
+
+def test_a_fault_reset_enables_nothing(machine: Machine) -> None:
+    machine.drive("slew").trip(0x4310)
+    machine.group.reset_faults()
+    assert machine.drive("slew").power is Power.SWITCH_ON_DISABLED
+    machine.group.start()
+    machine.group.move({"slew": 0.2})
+    assert machine.drive("slew").power is Power.OPERATION_ENABLED
+
+
+def test_start_does_not_reset_a_fault_behind_the_operators_back(build: Callable[..., Machine]) -> None:
+    m = build()
+    m.drive("lift").trip(0x7305)
+    with pytest.raises(DriveFault, match="lift: drive fault 0x7305, incremental encoder 1 fault"):
+        m.group.start()
+    assert m.drive("lift").power is Power.FAULT
+
+
+# identity and configuration
+
+
+def test_check_says_who_is_there_and_enables_nothing(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLEW, product=0x77), identity=Identity(vendor=0x1A, serial=4711), start=25_000)
+    (info,) = m.group.check()
+    assert (info.device, info.serial, info.firmware) == ("slew", "4711", "ppshw-sim 1.0")
+    assert "vendor 0x1A" in info.model
+    assert info.status == (  # 0.5 rad + 25 000 counts / 50 000 counts per rad
+        "SWITCH ON DISABLED, at 1.000000 rad, heartbeat off, "
+        "WRONG DEVICE: product code is 0x50505301, expected 0x77"
+    )
+    assert m.drive("slew").power is Power.SWITCH_ON_DISABLED
+
+
+def test_check_tells_a_running_heartbeat(machine: Machine) -> None:
+    assert [info.status.split(", ")[2] for info in machine.group.check()] == ["heartbeat ok"] * 3
+
+
+def test_a_drive_that_is_not_there_is_named(build: Callable[..., Machine]) -> None:
+    m = build()
+    m.drive("lift").go_silent()
+    with pytest.raises(HardwareTimeout, match=r"lift: no SDO answer on vendor 0x1018:01 within 0\.2 s"):
+        m.group.check()
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"vendor": 0x99}, "slide: vendor is 0x0, expected 0x99"),
+        ({"product": 0x99}, "slide: product code is 0x50505301, expected 0x99"),
+        ({"firmware": "2.0"}, "slide: firmware is 'ppshw-sim 1.0', expected '2.0'"),
+    ],
+)
+def test_another_drive_than_the_site_file_says_is_not_started(
+    build: Callable[..., Machine], wanted: dict[str, Any], message: str
+) -> None:
+    m = build(replace(SLIDE, **wanted))
+    with pytest.raises(IdentityMismatch, match=message):
+        m.group.start()
+    assert m.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_parameter_that_reads_back_otherwise_stops_the_start(build: Callable[..., Machine]) -> None:
+    m = build()
+    m.drive("slide").lie_about(0x6081, 9_999)  # 0.1 m/s · 100 000 counts/m = 10 000
+    with pytest.raises(
+        ConfigurationMismatch, match="slide: profile velocity 0x6081:00: wrote 10000, read back 9999"
+    ):
+        m.group.start()
+
+
+def test_the_sites_own_parameters_are_written_and_read_back(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLIDE, parameters={(0x6085, 0): 77_000, (0x605A, 0): 6}))
+    m.group.start()
+    assert (m.drive("slide").value(0x6085), m.drive("slide").value(0x605A)) == (77_000, 6)
+
+
+def test_scale_and_limits_reach_the_drive_in_counts(machine: Machine) -> None:
+    slew = machine.drive("slew")
+    # 0.1 rad/s · 50 000; (±1.5 − 0.5) rad · 50 000
+    assert (slew.value(0x6081), slew.value(0x6083), slew.value(0x6084)) == (5_000, 5_000, 5_000)
+    assert (slew.value(0x607D, 1), slew.value(0x607D, 2)) == (-100_000, 50_000)
+
+
+def test_the_target_is_mapped_before_the_controlword(machine: Machine) -> None:
+    slide = machine.drive("slide")
+    assert [slide.value(0x1600, k) for k in range(4)] == [3, 0x607A0020, 0x60600008, 0x60400010]
+
+
+def test_a_drive_may_lack_every_object_that_some_real_drive_lacks(build: Callable[..., Machine]) -> None:
+    m = build(missing=(0x100A, 0x6084, 0x603F, 0x1016, 0x607D, 0x60FD))
+    assert m.group.check()[0].firmware == "revision 0x10000"
+    m.group.start()
+    assert m.group.move({"slide": 0.1}).positions["slide"] == pytest.approx(0.1, abs=1e-5)
+    m.drive("slide").trip(0x4310)
+    with pytest.raises(DriveFault, match="slide: drive fault 0x4310, motor temperature too high"):
+        m.group.axis("slide").enable()
+
+
+def test_a_refused_mode_is_said(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, modes=(6,))
+    with pytest.raises(HardwareTimeout, match=r"slide: refuses mode 1 \(profile position\), shows 0"):
+        m.group.start()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"counts_per_unit": 0.0}, "counts_per_unit must be positive"),
+        ({"direction": 2}, "direction must be -1 or 1"),
+        ({"lower": 2.0}, "leave no travel"),
+        ({"counts_per_unit": 1e10}, "outside the drive's 32-bit counts"),
+        ({"approach_from": -1}, "needs a positive approach_distance"),
+        ({"node_id": 128}, "node id 128"),
+    ],
+)
+def test_an_axis_that_cannot_be_is_refused_before_anything_is_connected(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(SiteError, match=message):
+        replace(SLIDE, **wrong)
+
+
+# homing
+
+
+HOMED = replace(SLIDE, homing=HomingConfig(method=17, offset=-0.5, fast=0.2, slow=0.01))
+
+
+def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, start=70_000, home_at=20_000)
+    assert not m.group.axis("slide").homed
+    m.group.start()
+    assert m.group.axis("slide").homed
+    assert round(m.drive("slide").motor_position()) == 20_000
+    assert m.group.positions()["slide"] == pytest.approx(-0.5)
+    m.group.move({"slide": 0.0})
+    assert round(m.drive("slide").motor_position()) == 70_000  # home + 0.5 m
+
+
+def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, home_at=20_000)
+    m.group.start()
+    m.group.move({"slide": 0.3})
+    m.group.home("slide")
+    assert round(m.drive("slide").motor_position()) == 20_000
+    assert m.group.positions()["slide"] == pytest.approx(-0.5)
+
+
+def test_homing_that_does_not_begin_is_no_homing(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, home_at=20_000)
+    m.group.start()
+    m.drive("slide").lie_about(0x6041, 0x1637)  # "attained", from the homing before
+    with pytest.raises(HardwareTimeout, match=r"slide: homing has not begun after 1\.0 s, OPERATION ENABLED"):
+        m.group.home("slide")
+    assert not m.group.axis("slide").homed
+
+
+# words
+
+
+def test_before_the_first_process_data_the_state_comes_by_sdo(build: Callable[..., Machine]) -> None:
+    m = build()
+    m.group.check()
+    assert m.group.axis("slide").snapshot is None
+    assert m.group.axis("slide").state() is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize(
+    ("statusword", "state"),
+    [  # as drives report them, with voltage, remote and target bits set
+        (0x0000, State.NOT_READY_TO_SWITCH_ON),
+        (0x0250, State.SWITCH_ON_DISABLED),
+        (0x0231, State.READY_TO_SWITCH_ON),
+        (0x0233, State.SWITCHED_ON),
+        (0x1637, State.OPERATION_ENABLED),
+        (0x0217, State.QUICK_STOP_ACTIVE),
+        (0x021F, State.FAULT_REACTION_ACTIVE),
+        (0x0218, State.FAULT),
+        (0x0238, State.FAULT),
+    ],
+)
+def test_statuswords_are_read_as_the_standard_says(statusword: int, state: State) -> None:
+    assert decode_state(statusword) is state
+
+
+def test_a_makers_own_sub_code_still_says_its_group() -> None:
+    assert meaning(0x8611) == "following error"
+    assert meaning(0x2341) == "short circuit on the motor side"
+    assert meaning(0x4FFF) == "temperature"
+    assert meaning(0xFF12) == "maker's own code"
+    assert meaning(0x0042) == "unknown code"
