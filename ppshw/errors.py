@@ -7,6 +7,7 @@
     │   ├── CampaignError
     │   ├── CalibrationError
     │   ├── SiteError
+    │   ├── ReportError
     │   └── CompensationRefused
     ├── IdentificationFailed   the data do not determine what was asked
     ├── Stopped                the operator stopped the run
@@ -61,6 +62,10 @@ class CalibrationError(BadInput):
 
 class SiteError(BadInput):
     pass
+
+
+class ReportError(BadInput):
+    """A folder that holds nothing, or nothing whole, to report on."""
 
 
 class CompensationRefused(BadInput):
