@@ -6,6 +6,7 @@ should. What cannot be honoured is refused with a reason: nothing is clipped.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,6 +154,14 @@ class Compensator:
         wanted = np.asarray(wanted, dtype=float)
         return self._correct(tip_poses(self.machine, wanted)[0], wanted, payload, point)
 
+    def setpoint_map(self) -> Callable[[Array, Array, Array], Array]:
+        """For a campaign: (wanted (n,), wrench (6,) as read at (n,)) → corrected (n,)."""
+
+        def correct(wanted: Array, wrench: Array, here: Array) -> Array:
+            return self.for_joints(wanted, payload_at(self.machine, wrench, here, wanted)).corrected
+
+        return correct
+
     def _correct(self, wanted_tip: Array, nominal: Array, payload: Array, point: str) -> Setpoints:
         self._refuse_outside(nominal, payload)
         start = nominal[None]
@@ -205,3 +214,22 @@ class Compensator:
                     f"corrected setpoint of joint '{joint.name}' {corrected[k]:.6g} {joint.unit} is beyond its limits "
                     f"{lower[k]:g} … {upper[k]:g}"
                 )
+
+
+def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
+    """What the sensor will read at another pose, when the payload only weighs.
+
+    The weight keeps its direction in space and its line of action in the payload; where on that line the centre of mass
+    lies one reading cannot tell, so the point nearest to the sensor is taken. Exact where the sensor only turns about
+    the vertical; for tilts of δ it is off by weight × height × δ.
+
+    payload  (6,) read at joint values `here` (n,);  returns (6,) at `there` (n,)   [N, N·m]
+    """
+    turn = [(tip_poses(machine, q)[0, :3, :3] @ machine.tip_in_link[:3, :3].T @ machine.sensor_in_link[:3, :3])
+            for q in (here, there)]  # fmt: skip
+    force, moment = payload[:3], payload[3:]
+    size = float(force @ force)
+    lever = np.cross(force, moment) / size if size > 0 else np.zeros(3)
+    turned = turn[1].T @ turn[0] @ force
+    along = moment - np.cross(lever, force)  # a pure moment, if there is one, stays with the payload
+    return np.concatenate([turned, np.cross(lever, turned) + along])
