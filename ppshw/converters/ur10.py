@@ -29,9 +29,10 @@ _log = logging.getLogger(__name__)
 
 
 def convert(source: Path, out_csv: Path, with_orientation: bool = False) -> int:
-    """Write the contract's CSV for machines/real/ur10.yaml, with the orientation for ur10_pose.yaml; returns the visits.
+    """Write the contract's CSV for machines/real/ur10.yaml (ur10_pose.yaml with the orientation); returns the visits.
 
-    Raises RecordingError with file, line and column."""
+    Raises RecordingError with file, line and column.
+    """
     table = read_table(source, ";", _COLUMNS, comma=True)
     columns: dict[str, list[str]] = {"step": [source.stem] * len(table)}
     # The publisher does not say whether the angles are commanded or read back; exact zeros in the home pose say

@@ -1,8 +1,8 @@
 """UR5 with one reflector before a laser tracker (Jacobi 2025): grid.csv and random.csv.
 
-`x_dif` may be actual − target or target − actual, the publisher refers to the thesis. Taken here as actual − target: with
-it the arm sags under its own weight (shoulder 3.2e-5 ± 0.2e-5 rad/(N·m) in a fit of ours), with the other sign it
-would rise by as much. The nominal residual is the same either way (0.701 and 0.702 mm).
+`x_dif` may be actual − target or target − actual: the publisher refers to the thesis. Taken here as actual − target:
+with it the arm sags under its own weight (shoulder 3.2e-5 ± 0.2e-5 rad/(N·m) in a fit of ours), with the other sign
+it would rise by as much. The nominal residual is the same either way (0.701 and 0.702 mm).
 """
 
 from __future__ import annotations
