@@ -6,6 +6,7 @@ wait in coarse steps of machine time until each drive says "reached" and stands 
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
@@ -20,7 +21,7 @@ from ppshw.errors import BadInput, BusLost, DriveFault, HardwareError, HardwareT
 
 log = logging.getLogger(__name__)
 
-HANDSHAKE_TIMEOUT = 0.5  # s; some 25 SYNCs, a drive needs two
+HANDSHAKE_TIMEOUT, HANDSHAKE_SYNCS = 0.5, 20  # s of machine time and SYNCs; a drive needs two SYNCs
 MARGIN_FACTOR, MARGIN_S = 1.5, 5.0  # a move may take this much longer than its trapezoid before it is given up
 
 
@@ -94,6 +95,7 @@ class Cia402Group:
             axis.reset_fault()
 
     def positions(self) -> dict[str, float]:
+        self._connect()
         if self._started:
             self._exchange(expect_enabled=False)
         return {name: self._position(axis) for name, axis in self._axes.items()}
@@ -121,24 +123,33 @@ class Cia402Group:
     # stopping
 
     def quick_stop(self) -> None:
-        """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show. Best
-        effort: whatever fails is logged, because the reason for stopping is what must be heard."""
+        """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show.
+
+        Best effort: what fails here is logged, because the reason for stopping is what must be heard.
+        """
         try:
             self._stop_at_once()
-            if not self._axes:
-                return
-            silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
-            for axis in self._axes.values():
-                if axis.node_id in silent:
-                    continue
-                if axis.state() is State.OPERATION_ENABLED:
-                    log.warning("%s: did not obey quick stop by process data, powering off", axis.name)
-                    axis.disable()
+            if self._axes:
+                self._power_off_the_disobedient()
         except Exception as error:
             log.error("quick stop: %s", error)
         finally:
             for axis in self._axes.values():
                 axis.target = None
+
+    def _power_off_the_disobedient(self) -> None:
+        """A node without process data may still answer SDO, for instance when it fell back to PRE-OPERATIONAL."""
+        silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
+        if len(silent) == len(self._axes) > 1:
+            log.error("quick stop: nothing answers on %s", self._bus.config.name)
+            return
+        for axis in sorted(self._axes.values(), key=lambda a: a.node_id in silent):
+            try:
+                if axis.state() is State.OPERATION_ENABLED:
+                    log.warning("%s: did not obey quick stop by process data, powering off", axis.name)
+                    axis.disable()
+            except HardwareError as error:
+                log.error("quick stop: %s", error)
 
     def _on_emergency(self) -> None:
         """Called in the receiving thread; a bus that we only look at is left alone."""
@@ -298,13 +309,13 @@ class Cia402Group:
         """The first process data were sampled at the SYNC that carried the command; the second answer it."""
         deadline = self._clock.now() + HANDSHAKE_TIMEOUT
         self._exchange()
-        while True:
+        for look in itertools.count(1):
             self._clock.sleep(self._bus.config.sync_period)
             self._exchange()
             laggard = next((axis for axis in axes if not done(_snapshot(axis))), None)
             if laggard is None:
                 return
-            if self._clock.now() > deadline:
+            if self._clock.now() > deadline and look >= HANDSHAKE_SYNCS:
                 state = _snapshot(laggard).state
                 raise HardwareTimeout(laggard.name, f"{otherwise} within {HANDSHAKE_TIMEOUT:g} s, {state}")
 

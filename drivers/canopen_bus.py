@@ -22,7 +22,8 @@ from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout
 
 log = logging.getLogger(__name__)
 
-NO_SUCH_OBJECT = (0x06020000, 0x06090011)
+# SDO aborts by which drives say that they have no such object: none, no sub-index, not available, no data
+NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
 
 
 @dataclass(frozen=True)

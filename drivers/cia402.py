@@ -105,7 +105,7 @@ class Cia402Axis:
     def _heard_heartbeat(self, nmt_state: int) -> None:
         self._last_heard = self._bus.clock.now()
         if nmt_state == 0 and self._supervised:
-            self._restarted = True
+            self._restarted, self.homed = True, False
         with self._bus.arrival:
             self._bus.arrival.notify_all()
 
@@ -162,6 +162,8 @@ class Cia402Axis:
     def configure(self) -> None:
         """Write the configuration and read it back; the node is OPERATIONAL afterwards, the drive not enabled."""
         self._supervised, self._restarted = False, False
+        if self.state() is State.OPERATION_ENABLED:
+            self.disable()  # an enabled drive that loses its process data may do anything
         self._node.nmt.state = "PRE-OPERATIONAL"
         for (index, subindex), value in self.config.parameters.items():
             self.sdo.set(self._entry_of_reported_size(index, subindex), value)
@@ -322,7 +324,7 @@ class Cia402Axis:
 
     def silent_after_sync(self) -> HeartbeatLost:
         waited, heard = self._bus.config.answer_timeout, self._bus.clock.now() - self._last_heard
-        text = f"no process data within {waited:g} s of SYNC, last heartbeat {heard:.1f} s ago"
+        text = f"no process data within {waited:g} s of SYNC, last heartbeat {heard:.1f} s ago, {self._node.nmt.state}"
         return HeartbeatLost(self.name, f"{text} (node {self.node_id})")
 
     def _following_error(self, snapshot: Snapshot) -> FollowingError:

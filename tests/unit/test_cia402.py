@@ -8,6 +8,7 @@ All speeds are 0.1 unit/s, all accelerations 0.1 unit/s².
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -205,6 +206,21 @@ def test_a_drive_that_trips_at_rest_is_found_and_stops_the_others(machine: Machi
     assert machine.drive("slide").starts == []
     machine.clock.sleep(0.1)
     assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_trip_stops_the_others_at_once_not_only_when_the_program_looks(machine: Machine) -> None:
+    machine.drive("lift").trip(0x3220)
+    deadline = time.monotonic() + 5.0  # the messages cross the bus in real time
+    while machine.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert machine.drive("slide").power is Power.QUICK_STOP_ACTIVE
+
+
+def test_a_node_that_left_operational_is_powered_off_by_sdo(machine: Machine) -> None:
+    machine.drive("lift").node.nmt.state = "PRE-OPERATIONAL"
+    with pytest.raises(HeartbeatLost, match=r"lift: no process data within 0\.5 s of SYNC, .* PRE-OPERATIONAL"):
+        machine.group.move({"slide": 0.1})
+    assert machine.drive("lift").power is Power.SWITCH_ON_DISABLED
 
 
 def test_a_stuck_axis_is_a_following_error_with_its_numbers(machine: Machine) -> None:
@@ -439,6 +455,20 @@ def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:
     m.group.start()
     m.group.move({"slide": 0.3})
     m.group.home("slide")
+    assert round(m.drive("slide").motor_position()) == 20_000
+    assert m.group.positions()["slide"] == pytest.approx(-0.5)
+
+
+def test_an_incremental_axis_that_lost_its_power_is_homed_again(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, start=70_000, home_at=20_000)
+    m.group.start()
+    m.group.move({"slide": 0.25})
+    m.drive("slide").unplug()
+    m.drive("slide").replug()
+    with pytest.raises(DriveFault, match="restarted by itself"):
+        m.group.move({"slide": 0.3})
+    m.group.reset_faults()
+    m.group.start()
     assert round(m.drive("slide").motor_position()) == 20_000
     assert m.group.positions()["slide"] == pytest.approx(-0.5)
 
