@@ -58,12 +58,17 @@ class Bench:
         found = [*self.axes.check(), self.tracker.check()]
         return found if self.force_sensor is None else [*found, self.force_sensor.check()]
 
-    def start(self) -> list[DeviceInfo]:
-        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker."""
+    def start(self, reset_faults: bool = False) -> list[DeviceInfo]:
+        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker.
+
+        reset_faults  acknowledge what the drives have reported; never done unasked
+        """
         self.tracker.start()
         if self.force_sensor is not None:
             self.force_sensor.start()
         found = self.check()
+        if reset_faults:
+            self.axes.reset_faults()
         self.axes.start()
         return found
 

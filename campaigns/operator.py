@@ -1,7 +1,7 @@
 """The person at the bench, as a port: puts loads on, and may pause, skip, redo or abort between two visits.
 
 `ConsoleOperator` asks at the terminal; `AutomaticOperator` hands the load to whatever carries it out (a simulated
-plant, a loading rig) and answers at once. What was asked and answered goes into the recording, with name, time and mass.
+plant, a loading rig) and answers at once. What was asked and answered goes into the recording: name, time and mass.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class ConsoleOperator:
         self.tell(f"\nLoad change: {what}.")
         while True:
             known = f" [{self._name}]" if self._name else ""
-            words = self._ask(f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: ").split()
+            prompt = f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: "
+            words = self._ask(prompt).split()
             if words == ["abort"]:
                 raise Stopped(f"stopped by the operator at the change to load {load.name}")
             mass: float | None = load.mass

@@ -117,7 +117,8 @@ def plan_campaign(script: Script, machine: Machine) -> Plan:
         _check_limits(visit, machine)
         _check_targets(visit, machine)
     visits = _stepping_aside(visits, script, machine)
-    return Plan(script, machine, tuple(visits), _durations(visits, script, machine, home), _digest(visits, script, machine))
+    durations = _durations(visits, script, machine, home)
+    return Plan(script, machine, tuple(visits), durations, _digest(visits, script, machine))
 
 
 # --- expansion -----------------------------------------------------------------------------------------------

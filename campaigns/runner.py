@@ -66,15 +66,17 @@ def run_campaign(
     setpoint_map: SetpointMap | None = None,
     map_label: str = "compensated",
     progress: Callable[[Progress], None] | None = None,
+    reset_faults: bool = False,
 ) -> RunResult:
     """Run what the recording `out` does not hold yet; creates it when it is new. `bench` is entered, not started.
 
     setpoint_map  corrects every visit's setpoints before they are commanded; q_cmd in the recording is what was
                   commanded, cov_wanted_<joint> what was wanted
-    map_label     says in the recording which correction that was (a calibration's hash): a resumed run must use the same
+    map_label     says in the recording which correction that was (a calibration's hash); one recording, one correction
+    reset_faults  acknowledge the drives' faults before starting: the operator has seen to the cause
     """
     run = _Run(plan, bench, Path(out), operator, setpoint_map, map_label, progress)
-    return run.go()
+    return run.go(reset_faults)
 
 
 class _Run:
@@ -97,7 +99,7 @@ class _Run:
         self._measured = 0
         self._lost = 0
 
-    def go(self) -> RunResult:
+    def go(self, reset_faults: bool) -> RunResult:
         meta = _identity(self._plan, self._map_label if self._map else "as planned")
         existing = self._out.exists()
         if existing:  # look before any axis is enabled
@@ -106,7 +108,7 @@ class _Run:
                 if self._all_done(file):
                     return self._result(file)
         try:
-            devices = self._bench.start()
+            devices = self._bench.start(reset_faults)
             places = self._places()
             with self._open(existing, meta, places) as file:
                 self._log(file, "start", "resumed" if existing else "started", _start_note(devices, self._bench))
@@ -128,7 +130,9 @@ class _Run:
         now, (last, missing) = self._now(), _last_time_and_missing(file, places)
         if missing or now < last:
             file.close()
-            why = f"no column for the temperature of {missing}" if missing else f"its last visit is of {last}, now is {now}"
+            why = f"its last visit is of {last}, now is {now}"
+            if missing:
+                why = f"no column for the temperature of {missing}"
             raise RecordingError(f"{self._out}: cannot be continued: {why}")
         return file
 
@@ -204,7 +208,8 @@ class _Run:
         bench.axes.raise_if_faulty()  # an axis that fell over during the measurement spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
         cells |= _joint_cells(self._joints, commanded, q, report)
-        cells |= {f"{s.target}_{axis}": f"{x:.9f}" for s in shots for axis, x in zip("xyz", s.xyz.tolist(), strict=True)}
+        for shot in shots:
+            cells |= {f"{shot.target}_{axis}": f"{x:.9f}" for axis, x in zip("xyz", shot.xyz.tolist(), strict=True)}
         cells |= {f"temp_{place}_C": f"{value:.4f}" for place, value in temperatures.items()}
         if reading is not None:
             cells |= _wrench_cells(reading)
@@ -302,7 +307,9 @@ class _Run:
 
 
 # --- cells and notes -----------------------------------------------------------------------------------------
-def _joint_cells(joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], report: MoveReport) -> dict[str, str]:
+def _joint_cells(
+    joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], report: MoveReport
+) -> dict[str, str]:
     out = {f"q_cmd_{j}": f"{x:.9f}" for j, x in zip(joints, commanded.tolist(), strict=True)}
     out |= {f"q_{j}": f"{q[j]:.9f}" for j in joints}
     out |= {f"approach_{j}": str(report.approach[j]) for j in joints}

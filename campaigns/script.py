@@ -139,7 +139,8 @@ def script_path(name: str) -> Path:
         return given
     shipped = files("campaigns") / "scripts" / f"{name}.yaml"
     if not shipped.is_file():
-        raise CampaignError(f"{name}: no such file, and no script of that name (there are: {', '.join(shipped_scripts())})")
+        known = ", ".join(shipped_scripts())
+        raise CampaignError(f"{name}: no such file, and no script of that name (there are: {known})")
     return Path(str(shipped))
 
 

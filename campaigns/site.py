@@ -128,7 +128,7 @@ def _air_now(site: Site, thermometers: tuple[Thermometer, ...]) -> Atmosphere:
     for thermometer in thermometers:
         if place in (found := thermometer.read()):
             return Atmosphere(found[place], site.air.pressure_hpa, site.air.humidity_pct)
-    raise SiteError(f"{site.file}: tracker.atmosphere takes its temperature from '{place}', but no thermometer is there")
+    raise SiteError(f"{site.file}: tracker.atmosphere.temperature_from is '{place}', but no thermometer is there")
 
 
 # --- sections ------------------------------------------------------------------------------------------------
@@ -233,7 +233,7 @@ def _parameters(s: Section) -> dict[tuple[int, int], int]:
     """`"0x6080:0": 3000`, as a concise configuration has them."""
     section = s.section("parameters", optional=True)
     out: dict[tuple[int, int], int] = {}
-    for key in section.keys() if section is not None else ():  # noqa: SIM118
+    for key in [] if section is None else section.keys():
         assert section is not None
         index, _, sub = key.partition(":")
         try:
@@ -289,7 +289,8 @@ def _air(tracker: Section) -> tuple[Atmosphere, str | None]:
     place = s.text("temperature_from") if "temperature_from" in s else None
     default = STANDARD_AIR.temperature_c
     temperature = default if place else s.number("temperature_C", low=-40, high=60)
-    air = Atmosphere(temperature, s.number("pressure_hPa", low=500, high=1100), s.number("humidity_pct", low=0, high=100))
+    pressure, humidity = s.number("pressure_hPa", low=500, high=1100), s.number("humidity_pct", low=0, high=100)
+    air = Atmosphere(temperature, pressure, humidity)
     s.done()
     return air, place
 

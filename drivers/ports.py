@@ -104,6 +104,9 @@ class AxisGroup(Protocol):
 
     def positions(self) -> dict[str, float]: ...
 
+    def reset_faults(self) -> None:
+        """Acknowledge the faults of all drives; enables none."""
+
     def raise_if_faulty(self) -> None:
         """Raise the HardwareError that supervision has found since the last call, if any."""
 

@@ -37,6 +37,8 @@ from simulators.tracker import SimulatedTracker
 Array = NDArray[np.float64]
 
 COUNTS_PER_M, COUNTS_PER_RAD = 5.0e6, 8.0e6  # 0.2 µm and 0.125 µrad: linear scales and geared absolute encoders
+STOPPING = 0.5  # deceleration of a quick stop [m/s² or rad/s²]
+ANSWER_S = 1.0  # simulated instruments answer at once; this is for a loaded computer
 LOGGER_PERIOD_S = 60.0  # how often the thermometers' logger writes its file
 AIR_PRESSURE_HPA, AIR_HUMIDITY_PCT = 1008.0, 45.0
 _serial = itertools.count(1)
@@ -109,10 +111,6 @@ class SimulatedHardware:
         self.force_sensor: SimulatedBota | SimulatedGsv8 = sensor(self.live, clock, seed=seed)
         self._write_temperatures()
         clock.every(LOGGER_PERIOD_S, self._write_temperatures)
-        self.ports: dict[str, serial.SerialBase] = {
-            "loopback:tracker": LoopbackPort(self.tracker),
-            "loopback:force_sensor": LoopbackPort(self.force_sensor),
-        }
 
     def __enter__(self) -> SimulatedHardware:
         return self
@@ -122,6 +120,14 @@ class SimulatedHardware:
 
     def close(self) -> None:
         self.rack.close()
+
+    @property
+    def ports(self) -> dict[str, serial.SerialBase]:
+        """New ports to the instruments, for one bench: a driver that is collected late closes its own only."""
+        return {
+            "loopback:tracker": LoopbackPort(self.tracker),
+            "loopback:force_sensor": LoopbackPort(self.force_sensor),
+        }
 
     def drive(self, joint: str) -> SimulatedDrive:
         return self.rack.drives[self.wiring[self.plant.joint_names.index(joint)].node]
@@ -154,6 +160,7 @@ class SimulatedHardware:
         tracker: dict[str, Any] = {
             "protocol": "geocom",
             "port": ports["tracker"],
+            "timeout_s": ANSWER_S,
             "atmosphere": {
                 "temperature_from": "air", "pressure_hPa": AIR_PRESSURE_HPA, "humidity_pct": AIR_HUMIDITY_PCT,
             },
@@ -168,11 +175,12 @@ class SimulatedHardware:
                 joint.name: {
                     "node": wire.node, "counts_per_unit": wire.counts_per_unit, "direction": wire.sense,
                     "offset": wire.offset, "window": 2e-5, "following_window": 5e-3, "product": 0x50505301,
+                    "parameters": {"0x6085:0": round(STOPPING * wire.counts_per_unit)},
                 }
                 for joint, wire in zip(self.plant.chain.joints, self.wiring, strict=True)
             },
             "tracker": tracker,
-            "force_sensor": {"protocol": self.force_protocol, "port": ports["force_sensor"]},
+            "force_sensor": {"protocol": self.force_protocol, "port": ports["force_sensor"], "timeout_s": ANSWER_S},
             "thermometers": [{"protocol": "file", "path": str(self._thermometer_file)}],
         }  # fmt: skip
 

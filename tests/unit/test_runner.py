@@ -52,6 +52,9 @@ class FakeAxes:
     def start(self) -> None:
         self.stops = 0
 
+    def reset_faults(self) -> None:
+        pass
+
     def move(self, setpoints: Mapping[str, float]) -> MoveReport:
         if self.trouble is not None and len(self.moves) == self.trouble[0]:
             raise self.trouble[1]

@@ -82,5 +82,5 @@ def test_every_shipped_script_can_be_called_by_its_name() -> None:
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(CampaignError, match="papr: no such file.*there are: .*paper"):
+    with pytest.raises(CampaignError, match=r"papr: no such file.*there are: .*paper"):
         script_path("papr")
