@@ -1,7 +1,8 @@
 """One CiA 402 servo drive as an axis in SI units: identity, configuration, state machine, homing, set-points.
 
-Built on canopen's SDO client and PDO maps, not on its BaseNode402 (docs: hardware traps). No maker's EDS is needed: the
-objects used here have the standard's types, and parameters beyond them take the size that the drive reports.
+Built on canopen's SDO client and PDO maps, not on its BaseNode402, which has no profile-position move, calls a second
+homing done without homing, and enables power while it resets a fault. No maker's EDS is needed: the objects used here
+have the standard's types, and parameters beyond them take the size that the drive reports.
 
 Process data: RPDO 1 carries target, mode and controlword **in that order** (a drive that sees the controlword first
 latches the old target), TPDO 1 statusword, position and mode. Both are synchronous: what the host sends takes effect at

@@ -8,18 +8,20 @@ All speeds are 0.1 unit/s, all accelerations 0.1 unit/s².
 from __future__ import annotations
 
 import itertools
+import struct
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
-from drivers.canopen_bus import BusConfig
+from drivers.canopen_bus import BusConfig, Entry
 from drivers.cia402_objects import State, decode_state
 from drivers.emcy import meaning
 from ppshw.errors import (
@@ -49,7 +51,7 @@ class Machine:
     """Three drives and the group that drives them."""
 
     def __init__(self, *axes: AxisConfig, **drive: Any) -> None:
-        self.clock = SteppedClock()
+        self.clock = SteppedClock(grace=0.12)
         self.rack = SimulatedDriveRack(self.clock, next(channels))
         self.axes = axes or (SLIDE, LIFT, SLEW)
         for axis in self.axes:
@@ -399,6 +401,41 @@ def test_scale_and_limits_reach_the_drive_in_counts(machine: Machine) -> None:
 def test_the_target_is_mapped_before_the_controlword(machine: Machine) -> None:
     slide = machine.drive("slide")
     assert [slide.value(0x1600, k) for k in range(4)] == [3, 0x607A0020, 0x60600008, 0x60400010]
+
+
+def test_a_drive_whose_controlword_is_mapped_first_goes_to_the_old_target(machine: Machine) -> None:
+    """The trap that the mapping order avoids; here to show that the simulated drive has it."""
+    sdo = machine.group.axis("slide").sdo
+    sdo.write(Entry(0x1400, 1, "I", "COB-ID"), 0x80000201)
+    for k, mapped in enumerate((0x60400010, 0x607A0020, 0x60600008), start=1):
+        sdo.write(Entry(0x1600, k, "I", "mapping"), mapped)
+    sdo.write(Entry(0x1400, 1, "I", "COB-ID"), 0x201)
+    with can.Bus(interface="virtual", channel=machine.rack.channel, ignore_config=True) as bus:
+        new_set_point = struct.pack("<Hib", 0x3F, 10_000, 1)
+        bus.send(can.Message(arbitration_id=0x201, data=new_set_point, is_extended_id=False))
+        bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
+        heard = bus.recv(2.0)
+        while heard is not None and heard.arbitration_id != 0x181:  # its answer to the SYNC
+            heard = bus.recv(2.0)
+    assert sdo.read(Entry(0x607A, 0, "i", "target")) == 10_000
+    machine.clock.sleep(10.0)
+    assert machine.drive("slide").motor_position() == 0.0
+    assert machine.drive("slide").value(0x6041) & 0x0400  # "reached"
+
+
+def test_the_drives_are_told_to_watch_the_hosts_heartbeat(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE)
+    bus = BusConfig(
+        can={"interface": "virtual", "channel": m.rack.channel}, host_node_id=0x7E, host_heartbeat_period=0.05
+    )
+    m.group = Cia402Group(m.axes, bus, m.clock)
+    m.group.start()
+    assert m.drive("slide").value(0x1016, 1) == 0x7E << 16 | 250  # node and time-out in ms, five periods
+    with can.Bus(interface="virtual", channel=m.rack.channel, ignore_config=True) as listener:
+        deadline = time.monotonic() + 5.0
+        while (heard := listener.recv(1.0)) is None or heard.arbitration_id != 0x77E:
+            assert time.monotonic() < deadline, "the host's heartbeat is missing"
+    assert bytes(heard.data) == b"\x05"  # OPERATIONAL
 
 
 def test_a_drive_may_lack_every_object_that_some_real_drive_lacks(build: Callable[..., Machine]) -> None:
