@@ -240,6 +240,12 @@ def test_reached_is_believed_only_with_the_position_inside_the_window(machine: M
         machine.group.move({"slide": 0.2})
 
 
+def test_a_position_inside_the_window_counts_only_once_the_drive_says_reached(machine: Machine) -> None:
+    machine.drive("slide").store(0x6068, 0, 60_000)  # the drive wants to see a minute of rest first
+    with pytest.raises(HardwareTimeout, match=r"slide: not at rest .* 0 m away, 'target reached' not set"):
+        machine.group.move({"slide": 0.2})
+
+
 def test_a_set_point_that_is_not_acknowledged_is_no_move(machine: Machine) -> None:
     machine.drive("lift").lie_about(0x6041, 0x0637)  # enabled and "reached", but bit 12 never comes
     with pytest.raises(HardwareTimeout, match=r"lift: does not acknowledge its set-point \(bit 12\) within 0\.5 s"):
