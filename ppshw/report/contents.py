@@ -1,0 +1,167 @@
+"""What a folder holds of one machine's calibration, read and checked; what is not there is listed, not guessed.
+
+A file that is there but broken is an error: a report that leaves it out in silence would look like a good one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ppshw.calibration import Calibration, load_calibration
+from ppshw.errors import ReportError
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
+from ppshw.recording_file import RecordingFile, is_sqlite
+
+MACHINE, CALIBRATION = "machine.yaml", "calibration.json"
+RESULTS = ("demo.json", "result.json")
+RECORDINGS = {
+    "campaign": "the residual of the identification recording and the coverage of the joints",
+    "verification_nominal": "errors without compensation",
+    "verification_compensated": "errors with compensation",
+    "repeatability": "how well the machine comes back to a pose",
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that the report was made from, for its provenance."""
+
+    name: str
+    sha256: str
+    about: str
+    meta: dict[str, str] = field(default_factory=dict)
+    devices: tuple[dict[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A file that is not there, or holds no visit yet, and what cannot be shown for it."""
+
+    name: str
+    why: str
+    shows: str
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Everything usable in a folder. `point` is the point of the end effector that accuracy is stated at."""
+
+    folder: Path
+    machine: Machine
+    point: str
+    calibration: Calibration | None
+    recordings: dict[str, Recording]
+    result: dict[str, Any]
+    result_name: str
+    sources: tuple[Source, ...]
+    missing: tuple[Missing, ...]
+
+
+def read_folder(folder: Path) -> Contents:
+    """Read what there is. Raises ReportError when that is nothing, other BadInput when a file is broken."""
+    if not folder.is_dir():
+        raise ReportError(f"{folder}: no such folder")
+    if not (folder / MACHINE).is_file():
+        raise ReportError(f"{folder}: holds no {MACHINE}, expected a folder that a calibration was made in")
+    machine = load_machine(folder / MACHINE)
+    sources = [Source(MACHINE, machine.sha256, f"machine '{machine.name}', {machine.n} joints")]
+    missing: list[Missing] = []
+    calibration = _calibration(folder, machine, sources, missing)
+    recordings: dict[str, Recording] = {}
+    for stem, shows in RECORDINGS.items():
+        path = _recording_path(folder, stem, calibration)
+        if path is None:
+            missing.append(Missing(f"{stem}.db", "not in the folder", shows))
+        elif _is_empty(path):
+            missing.append(Missing(path.name, "holds no visit yet", shows))
+        else:
+            recordings[stem] = load_recording(path, machine)
+            sources.append(_recording_source(path, recordings[stem]))
+    result, result_name = _result(folder, sources)
+    if calibration is None and not recordings and not result:
+        names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), *RESULTS])
+        raise ReportError(f"{folder}: nothing to report on beside {MACHINE}, expected any of {names}")
+    point = _point(machine, recordings)
+    return Contents(
+        folder, machine, point, calibration, recordings, result, result_name, tuple(sources), tuple(missing)
+    )
+
+
+def _calibration(folder: Path, machine: Machine, sources: list[Source], missing: list[Missing]) -> Calibration | None:
+    path = folder / CALIBRATION
+    if not path.exists():
+        missing.append(Missing(CALIBRATION, "not in the folder", "the identified functions and where they are valid"))
+        return None
+    calibration = load_calibration(path, machine)
+    about = f"calibration, method '{calibration.provenance.get('method', 'unknown')}'"
+    sources.append(Source(CALIBRATION, _file_hash(path), about))
+    return calibration
+
+
+def _recording_path(folder: Path, stem: str, calibration: Calibration | None) -> Path | None:
+    """stem.db or stem.csv; the identification recording may also have the name that the calibration knows it by."""
+    names = [f"{stem}.db", f"{stem}.csv"]
+    if stem == "campaign" and calibration is not None and "recording" in calibration.provenance:
+        names.append(Path(str(calibration.provenance["recording"])).name)
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _is_empty(path: Path) -> bool:
+    """A campaign that has only begun: its file is whole, but without a visit."""
+    if path.stat().st_size == 0 or not is_sqlite(path):
+        return False
+    with RecordingFile.open(path, readonly=True) as file:
+        return not file.table()[1]
+
+
+def _recording_source(path: Path, recording: Recording) -> Source:
+    about = f"{len(recording)} visits"
+    if not is_sqlite(path):
+        return Source(path.name, recording.sha256, about)
+    with RecordingFile.open(path, readonly=True) as file:
+        meta, events = file.meta(), file.events()
+    devices: dict[str, dict[str, str]] = {}
+    for _, kind, _, data in events:
+        if kind == "start":
+            devices |= {str(d.get("device")): {k: str(v) for k, v in d.items()} for d in data.get("devices", [])}
+    if name := meta.get("campaign_name"):
+        about += f" of campaign '{name}'"
+    return Source(path.name, recording.sha256, about, meta, tuple(devices.values()))
+
+
+def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
+    path = next((folder / name for name in RESULTS if (folder / name).is_file()), None)
+    if path is None:
+        return {}, ""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
+        raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+    if not isinstance(found, dict):
+        raise ReportError(f"{path}: expected an object with the run's figures, found {type(found).__name__}")
+    sources.append(Source(path.name, _file_hash(path), "figures that the run printed"))
+    return found, path.name
+
+
+def _point(machine: Machine, recordings: dict[str, Recording]) -> str:
+    """The treatment point; on a machine without one the first point, else the first target, that was measured."""
+    if "treatment" in machine.points:
+        return "treatment"
+    checks = [recordings[k] for k in ("verification_compensated", "verification_nominal") if k in recordings]
+    candidates = [*machine.points, *machine.targets]
+    return next((p for p in candidates for r in checks if p in _measured(r)), candidates[0])
+
+
+def _measured(recording: Recording) -> Iterator[str]:
+    yield from recording.extra_points
+    yield from recording.target_names
+
+
+def _file_hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

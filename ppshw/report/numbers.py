@@ -1,0 +1,178 @@
+"""The figures that the report states, computed from the recordings, and held against what the run itself printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from ppshw.calibration import Calibration
+from ppshw.errors import RecordingError
+from ppshw.evaluation import figures, residuals
+from ppshw.recording import Recording
+from ppshw.report.contents import RECORDINGS, Contents, Missing
+from ppshw.terms import Situation
+from ppshw.verification import Returns, point_errors, repeatability, returns_of
+
+Array = NDArray[np.float64]
+CASES = {"verification_nominal": "uncompensated", "verification_compensated": "compensated"}
+FIGURES = ("median_mm", "p95_mm", "p98_6_mm", "max_mm")
+# A run prints what it computed from the same recordings: a difference beyond rounding is worth a sentence.
+ROUNDING_MM = 6e-4
+# Visits whose squared distance exceeds this quantile of χ² are marked; the estimate's own bound.
+BELIEVED = 0.999
+CHUNK = 400  # visits linearised at once: some 30 MB of design
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """errors        case → (N, 3) at the point, base frame [m]
+    accuracy      case → FIGURES with `visits`, from the recordings or else as the run printed them
+    returns, repeatability  of repeatability.db; None without it
+    notes         sentences about what does not fit together
+    missing       of what is in the folder but cannot be used for its purpose
+    """
+
+    errors: dict[str, Array]
+    accuracy: dict[str, dict[str, float]]
+    returns: Returns | None
+    repeatability: dict[str, Any] | None
+    notes: tuple[str, ...]
+    missing: tuple[Missing, ...]
+
+
+def compute(contents: Contents) -> Numbers:
+    machine, point, calibration = contents.machine, contents.point, contents.calibration
+    frame = None if calibration is None else calibration.measuring_in_base
+    errors: dict[str, Array] = {}
+    accuracy: dict[str, dict[str, float]] = {}
+    notes: list[str] = []
+    missing: list[Missing] = []
+    for stem, case in CASES.items():
+        if recording := contents.recordings.get(stem):
+            try:
+                errors[case] = point_errors(recording, machine, point, frame)
+                seen = int(np.isfinite(errors[case]).all(axis=1).sum())
+                accuracy[case] = {**figures(errors[case]), "visits": seen}
+            except RecordingError as why:
+                errors.pop(case, None)
+                missing.append(Missing(f"{stem}: {point}", str(why), RECORDINGS[stem]))
+        accuracy[case] = _against_result(contents, case, accuracy.get(case, {}), notes)
+    returns, again = None, None
+    if recording := contents.recordings.get("repeatability"):
+        try:
+            returns = returns_of(recording, machine, point, frame)
+            again = repeatability(recording, machine, point, frame)
+        except RecordingError as why:
+            missing.append(Missing(f"repeatability: {point}", str(why), RECORDINGS["repeatability"]))
+    again = _repeatability_against_result(contents, again, notes)
+    notes += _doubts(contents)
+    return Numbers(
+        errors, {k: v for k, v in accuracy.items() if v}, returns, again, tuple(notes), tuple(missing)
+    )
+
+
+def _against_result(contents: Contents, case: str, mine: dict[str, float], notes: list[str]) -> dict[str, float]:
+    printed = contents.result.get(case)
+    if not isinstance(printed, dict):
+        return mine
+    given = {k: float(printed[k]) for k in FIGURES if isinstance(printed.get(k), int | float)}
+    if not mine:
+        return given
+    for key, value in given.items():
+        if abs(value - mine[key]) > ROUNDING_MM:
+            notes.append(
+                f"{contents.result_name} says {case} {key} = {value:.4g}; the recording here gives {mine[key]:.4g}, "
+                "which is what this page shows."
+            )
+    return mine
+
+
+def _repeatability_against_result(
+    contents: Contents, mine: dict[str, Any] | None, notes: list[str]
+) -> dict[str, Any] | None:
+    printed = contents.result.get("repeatability_mm")
+    if not isinstance(printed, int | float):
+        return mine
+    if mine is None:
+        return {"repeatability_mm": float(printed)}
+    if abs(printed - mine["repeatability_mm"]) > ROUNDING_MM:
+        notes.append(
+            f"{contents.result_name} says repeatability_mm = {printed:.4g}; the recording here gives "
+            f"{mine['repeatability_mm']:.4g}, which is what this page shows."
+        )
+    return mine
+
+
+def _doubts(contents: Contents) -> list[str]:
+    out = []
+    calibration, campaign = contents.calibration, contents.recordings.get("campaign")
+    if calibration is not None and campaign is not None:
+        made_from = str(calibration.provenance.get("recording_sha256", ""))
+        if made_from != campaign.sha256:
+            out.append(
+                f"The calibration was made from another recording ({made_from[:12] or 'unknown'}) than the "
+                f"identification recording in this folder ({campaign.sha256[:12]}): the residual shown is that of "
+                "visits the fit may never have seen."
+            )
+    if contents.machine.tracker.base is None and any(stem in contents.recordings for stem in CASES):
+        out.append(
+            "The machine file leaves the measuring frame open; it was placed by the calibration. An error that the "
+            "whole machine shares is part of that place, so the uncompensated figures flatter."
+        )
+    for source in contents.sources:
+        made_for = source.meta.get("machine_sha256")
+        if made_for and made_for != contents.machine.sha256:
+            out.append(
+                f"{source.name} was recorded with another machine file ({made_for[:12]}) than the one in this folder "
+                f"({contents.machine.sha256[:12]})."
+            )
+    return out
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What the model leaves of the identification recording.
+
+    errors   (N, T, 3) [m];  size_mm (N,) rms over a visit's targets;  outlier (N,)
+    lost     (N,) visits with a target that was not found although the recording has its columns
+    """
+
+    errors: Array
+    size_mm: Array
+    outlier: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+
+
+def fit(recording: Recording, calibration: Calibration) -> Fit:
+    errors = residuals(recording, calibration)
+    square = (errors**2).sum(axis=2)
+    seen = recording.seen
+    mean = np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    size = np.where(seen.any(axis=1), np.sqrt(mean) * 1e3, np.nan)
+    measured = seen.any(axis=0)
+    lost = np.asarray(~seen[:, measured].all(axis=1))
+    return Fit(errors, size, _outliers(recording, calibration, errors), lost)
+
+
+def _outliers(recording: Recording, calibration: Calibration, errors: Array) -> NDArray[np.bool_]:
+    """r' (Σ + D C D')⁻¹ r > χ²: the estimate's own rule, with noise Σ and the model's uncertainty D C D'."""
+    out = np.zeros(len(recording), dtype=bool)
+    for start in range(0, len(recording), CHUNK):
+        rows = np.arange(start, min(start + CHUNK, len(recording)))
+        part, seen = recording.subset(rows), recording.seen[rows]
+        lin = calibration.model.linearise(Situation.of(part), calibration.theta)
+        count, width = len(rows), 3 * seen.shape[1]
+        mask = np.repeat(seen, 3, axis=1)
+        design = lin.design.reshape(count, width, -1) * mask[..., None]
+        covariance = calibration.noise.covariance(lin.levers, seen, np.ones(count))
+        half = design.reshape(count * width, -1) @ calibration.covariance  # one product: batches of small ones are slow
+        covariance += half.reshape(count, width, -1) @ np.swapaxes(design, 1, 2)
+        residual = np.where(mask, errors[rows].reshape(count, width), 0.0)
+        distance = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
+        freedom = np.maximum(mask.sum(axis=1), 1)
+        out[rows] = distance > chi2.ppf(BELIEVED, freedom)
+    return out

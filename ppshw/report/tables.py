@@ -1,0 +1,156 @@
+"""The report's tables: what was measured, where the calibration is valid, what everything was made with."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from ppshw import __version__
+from ppshw.calibration import MOST_POSITIONS
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.recording import Recording
+from ppshw.report.contents import Contents
+from ppshw.report.numbers import Fit, Numbers
+
+NAMES = {
+    "campaign": "Identification",
+    "verification_nominal": "Verification, uncompensated",
+    "verification_compensated": "Verification, compensated",
+    "repeatability": "Repeatability",
+}
+
+
+def mm(value: float) -> str:
+    digits = 2 if value >= 1 else 3
+    return f"{value:.{digits}f}\N{NO-BREAK SPACE}mm"
+
+
+def measurements(contents: Contents) -> list[tuple[str, ...]]:
+    """Per recording: name, visits, readings, and the time between its first and last visit."""
+    out: list[tuple[str, ...]] = []
+    for stem, recording in contents.recordings.items():
+        extra = [np.isfinite(p).all(axis=1).sum() for p in recording.extra_points.values()]
+        readings = int(recording.seen.sum()) + int(sum(extra))
+        span = float(np.ptp(recording.time)) if timed(recording) else 0.0
+        out.append((NAMES[stem], str(len(recording)), str(readings), duration(span) if span > 0 else "–"))
+    if contents.calibration is not None and "campaign" not in contents.recordings:
+        made = contents.calibration.provenance
+        out.insert(0, ("Identification", str(made.get("visits_used", "–")), str(made.get("readings", "–")), "–"))
+    return out
+
+
+def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[str, str]]:
+    """Rows of what else is worth a line: repeatability, outliers, what the run says of itself."""
+    out: list[tuple[str, str]] = []
+    again, result, claimed = numbers.repeatability, contents.result, contents.machine.repeatability
+    if again:
+        text = f"{mm(again['repeatability_mm'])} (98.6 %)"
+        text += f"; ISO 9283 RP {mm(again['rp_iso9283_mm'])}" if "rp_iso9283_mm" in again else ""
+        text += f"; the maker claims {mm(claimed * 1e3)}" if claimed else ""
+        out.append(("Repeatability", text))
+    if left is not None:
+        out.append(("Outliers", f"{int(left.outlier.sum())} of {len(left.outlier)} visits of the identification"))
+    if "visits" in result and "readings" in result:
+        out.append(("Whole run, as it says", f"{plain(result['visits'])} visits, {plain(result['readings'])} readings"))
+    if isinstance(result.get("seconds"), int | float):
+        out.append(("Run time, as it says", duration(float(result["seconds"]))))
+    return out
+
+
+def joint_ranges(contents: Contents) -> list[dict[str, str]]:
+    if contents.calibration is None:
+        return []
+    out = []
+    for k, joint in enumerate(contents.machine.joints):
+        low, high = contents.calibration.joint_range[k]
+        limits = "–" if joint.limits is None else _range(joint.limits.lower, joint.limits.upper, joint.prismatic)
+        out.append({
+            "name": joint.name, "valid": _range(low, high, joint.prismatic), "limits": limits,
+            "positions": _positions(contents, k, joint.name),
+        })  # fmt: skip
+    return out
+
+
+def _positions(contents: Contents, k: int, joint: str) -> str:
+    """How many positions were sampled. A calibration lists up to MOST_POSITIONS and gives the ends of more."""
+    assert contents.calibration is not None
+    campaign = contents.recordings.get("campaign")
+    if campaign is not None and campaign.sha256 == contents.calibration.provenance.get("recording_sha256"):
+        return str(len(np.unique(np.round(campaign.q[:, k], 4))))
+    listed = len(contents.calibration.sampled.get(joint, []))
+    return str(listed) if listed != 2 else f"2, or more than {MOST_POSITIONS}"
+
+
+def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
+    if contents.calibration is None:
+        return []
+    units = ["N"] * 3 + ["N m"] * 3
+    return [
+        (name, f"{low:.1f} … {high:.1f} {unit}".replace("-", "−"))
+        for name, unit, (low, high) in zip(WRENCH_COMPONENTS, units, contents.calibration.payload_range, strict=True)
+    ]
+
+
+def provenance(contents: Contents) -> list[tuple[str, str]]:
+    """What made which file; what several files share is said once."""
+    libraries = ", ".join(f"{n} {version(n)}" for n in ("numpy", "scipy", "matplotlib", "jinja2"))
+    out = [("This report", f"ppshw {__version__}, Python {platform.python_version()}, {libraries}")]
+    if contents.calibration is not None:
+        made = contents.calibration.provenance
+        said = [f"{k.replace('_', ' ')} {v}" for k, v in made.items() if "sha256" not in k]
+        out.append(("Calibration", ", ".join(said)))
+        out.append(("Calibration, from recording", str(made.get("recording_sha256", "unknown"))))
+        noise = contents.calibration.noise
+        pose = np.sqrt(np.diag(noise.pose)[:3]) * 1e3
+        out.append((
+            "Noise it found",
+            f"instrument σ {noise.instrument * 1e3:.3f} mm per coordinate; end effector’s scatter about its origin "
+            f"σ {pose[0]:.3f}, {pose[1]:.3f}, {pose[2]:.3f} mm along x, y, z",
+        ))  # fmt: skip
+    shared: dict[tuple[str, str], list[str]] = {}
+    for source in contents.sources:
+        for key in ("versions", "campaign_sha256", "setpoints", "site_name", "site_sha256"):
+            if key in source.meta:
+                shared.setdefault((key, source.meta[key]), []).append(source.name)
+    for (key, value), names in shared.items():
+        if key == "versions":
+            value = ", ".join(f"{k} {v}" for k, v in json.loads(value).items())  # noqa: PLW2901
+        what = key.replace("_sha256", " file").replace("_", " ").capitalize()
+        out.append((f"{what}, {', '.join(names)}", value))
+    return out
+
+
+def devices(contents: Contents) -> list[dict[str, str]]:
+    """Every instrument and drive once, as it named itself when a campaign started."""
+    found: dict[tuple[str, ...], dict[str, str]] = {}
+    for source in contents.sources:
+        for device in source.devices:
+            row = {key: device.get(key, "") for key in ("device", "model", "serial", "firmware")}
+            found.setdefault(tuple(row.values()), row)
+    return list(found.values())
+
+
+def timed(recording: Recording) -> bool:
+    return bool(np.isfinite(recording.time).all())
+
+
+def duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def plain(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _range(low: float, high: float, prismatic: bool) -> str:
+    if prismatic:
+        return f"{low:.4f} … {high:.4f} m".replace("-", "−")
+    return f"{low:.4f} … {high:.4f} rad ({math.degrees(low):.2f}° … {math.degrees(high):.2f}°)".replace("-", "−")
