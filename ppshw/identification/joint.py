@@ -120,7 +120,7 @@ def estimate(
         old_noise = state.noise
         residual = system.data - system.design @ state.theta
         spread = system.design @ covariance @ np.swapaxes(system.design, 1, 2)
-        state.noise = _update_noise(state, system, residual, spread)
+        state.noise = _update_noise(state, system, residual, spread) if settled else _moments(state, system, residual)
         if settled:
             state.weights = _believe(system, residual, spread, state.weights)
         moved = np.abs((system.design @ state.theta - before)[system.rows]).max()
@@ -190,12 +190,44 @@ def _update_variances(state: _State, z: Array, zz: Array, group_of: NDArray[np.i
     )
 
 
+def _moments(state: _State, system: _System, residual: Array) -> Noise:
+    """A first idea of the noise from the residuals' moments: what targets of a visit share, and what they do not.
+
+    With fewer than three targets the two cannot be told apart: the instrument keeps its stated noise (or all that there
+    is, where that is less) and the pose takes the rest.
+    """
+    seen = system.seen.all(axis=1) if system.seen.all(axis=1).any() else system.seen.any(axis=1)
+    rank = pose_rank(int(system.seen.sum(axis=1).max()))
+    b = (system.levers.reshape(*system.rows.shape, 6) * system.rows[..., None])[seen][:, :, :rank]
+    inverse = np.linalg.pinv(b)
+    u = np.einsum("nki,ni->nk", inverse, residual[seen])
+    # the middle of the squares, so that a gross outlier does not shape the first guess
+    size = np.einsum("nk,kl,nl->n", u, np.linalg.pinv(u.T @ u / len(u)), u)
+    core = size <= np.quantile(size, 0.95)
+    shared = u[core].T @ u[core] / core.sum()
+    instrument = state.noise.instrument
+    freedom = b.shape[1] - rank
+    if freedom > 0:
+        rest = residual[seen] - np.einsum("nik,nk->ni", b, u)
+        instrument = float(np.sqrt(np.median((rest**2).sum(axis=1)) / freedom))
+    else:
+        instrument = min(instrument, float(np.sqrt(np.linalg.eigvalsh(shared)[0])))
+    shared = shared - instrument**2 * np.mean(inverse @ np.swapaxes(inverse, 1, 2), axis=0)
+    values, vectors = np.linalg.eigh(shared)
+    values = np.maximum(values, 0.01 * instrument**2)
+    pose = np.zeros((6, 6))
+    pose[:rank, :rank] = (vectors * values) @ vectors.T
+    return Noise(pose, instrument)
+
+
 def _update_noise(state: _State, system: _System, residual: Array, spread: Array) -> Noise:
     """Expectation-maximisation for the pose covariance and the instrument's noise, ten steps at fixed θ."""
     noise = state.noise
     count, width = system.rows.shape
     rank = pose_rank(int(system.seen.sum(axis=1).max()))
     b = system.levers.reshape(count, width, 6) * system.rows[..., None]
+    if rank < 6:
+        b = b * (np.arange(6) < 3)
     both = system.rows[:, :, None] & system.rows[:, None, :]
     second = state.weights[:, None, None] * (residual[:, :, None] * residual[:, None, :] + spread)
     ones = np.ones(count)
@@ -211,8 +243,6 @@ def _update_noise(state: _State, system: _System, residual: Array, spread: Array
             change = precision @ excess @ precision * sigma2**2
             mass = np.trace(change * system.rows[:, :, None], axis1=1, axis2=2).sum() / readings
             sigma2 = float(np.clip(sigma2 + mass, (0.2 * noise.instrument) ** 2, (5 * noise.instrument) ** 2))
-        else:
-            pose[3:] = pose[:, 3:] = 0.0
         noise = Noise(0.5 * (pose + pose.T), float(np.sqrt(sigma2)))
     return noise
 
