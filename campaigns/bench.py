@@ -38,6 +38,7 @@ class Bench:
     thermometers: tuple[Thermometer, ...] = ()
     atmosphere: Callable[[], Atmosphere] = lambda: STANDARD_AIR
     notes: Mapping[str, str] = field(default_factory=dict)
+    _started: bool = field(default=False, init=False)
 
     def __enter__(self) -> Bench:
         return self
@@ -45,7 +46,7 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.axes.quick_stop()
+        self.stop()
         problems = self._close()
         if kind is None and problems:
             raise problems[0]
@@ -67,10 +68,15 @@ class Bench:
         if self.force_sensor is not None:
             self.force_sensor.start()
         found = self.check()
+        self.start_axes(reset_faults)
+        return found
+
+    def start_axes(self, reset_faults: bool = False) -> None:
+        """The axes alone, for a move that measures nothing."""
         if reset_faults:
             self.axes.reset_faults()
+        self._started = True
         self.axes.start()
-        return found
 
     def temperatures(self) -> dict[str, float]:
         """Place → °C of every thermometer; `air` is the tracker's atmosphere where no thermometer hangs there.
@@ -87,7 +93,10 @@ class Bench:
         return found
 
     def stop(self) -> None:
-        self.axes.quick_stop()
+        """Quick stop, once; a bus that was only looked at is left alone."""
+        if self._started:
+            self._started = False
+            self.axes.quick_stop()
 
     def _close(self) -> list[Exception]:
         """Close every device even when closing another one fails."""

@@ -15,7 +15,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -54,6 +55,10 @@ class Clock(Protocol):
     def every(self, period: float, callback: Any) -> None: ...
 
 
+class InstrumentClock(Protocol):
+    def now(self) -> float: ...
+
+
 @dataclass(frozen=True)
 class Wiring:
     """counts = sense · counts_per_unit · (q − offset)"""
@@ -77,6 +82,7 @@ class SimulatedHardware:
     force_protocol "bota" | "gsv8"
     repeatability  [m] instead of the machine file's
     fitted         reflectors mounted; by default all there is a place for, `treatment` too
+    instrument_clock  what paces the sensor's stream, where that must not be hurried machine time
     """
 
     def __init__(
@@ -89,6 +95,7 @@ class SimulatedHardware:
         force_protocol: str = "bota",
         repeatability: float | None = None,
         fitted: Sequence[str] | None = None,
+        instrument_clock: InstrumentClock | None = None,
     ) -> None:
         self.machine_file = Path(machine_file).resolve()
         self.folder = Path(folder).resolve()
@@ -104,11 +111,13 @@ class SimulatedHardware:
             self.rack.add(SimulatedDrive(wire.node, clock, self.rack.network, start=wire.counts(parked)))
         everything = [*self.plant.targets, *self.plant.chain.points]
         self.live = LivePlant(self.plant, self.joint_values, clock, fitted=everything if fitted is None else fitted)
+        world = _Standing(self.live, self.joint_values)
+        pace = instrument_clock or clock
         self.tracker = SimulatedTracker(
-            self.live, clock, seed=seed, position_sigma=self.plant.position_sigma, air=self._air
+            world, pace, seed=seed, position_sigma=self.plant.position_sigma, air=self._air
         )
         sensor = {"bota": SimulatedBota, "gsv8": SimulatedGsv8}[force_protocol]
-        self.force_sensor: SimulatedBota | SimulatedGsv8 = sensor(self.live, clock, seed=seed)
+        self.force_sensor: SimulatedBota | SimulatedGsv8 = sensor(world, pace, seed=seed)
         self._write_temperatures()
         clock.every(LOGGER_PERIOD_S, self._write_temperatures)
 
@@ -201,6 +210,38 @@ class SimulatedHardware:
         fresh = self._thermometer_file.with_suffix(".new")
         fresh.write_text(json.dumps(said), encoding="utf-8")
         fresh.replace(self._thermometer_file)
+
+
+class _Standing:
+    """The live plant as the instruments ask it: the same answer, without the work, while nothing has changed."""
+
+    def __init__(self, live: LivePlant, joint_values: Callable[[], Array]) -> None:
+        self._live, self._joint_values = live, joint_values
+        self._lock = threading.Lock()
+        self._state: tuple[object, ...] | None = None
+        self._load: Load | None = None
+        self._targets: dict[str, Array] | None = None
+        self._wrench: Array | None = None
+
+    def visible_targets(self) -> dict[str, Array]:
+        with self._lock:
+            self._refresh()
+            if self._targets is None:
+                self._targets = self._live.visible_targets()
+            return dict(self._targets)
+
+    def wrench(self) -> Array:
+        with self._lock:
+            self._refresh()
+            if self._wrench is None:
+                self._wrench = self._live.wrench()
+            return self._wrench.copy()
+
+    def _refresh(self) -> None:
+        load = self._live.load
+        state = (self._joint_values().tobytes(), self._live.fitted)
+        if state != self._state or load is not self._load:
+            self._state, self._load, self._targets, self._wrench = state, load, None, None
 
 
 def _wire(chain: Chain) -> list[Wiring]:

@@ -193,6 +193,10 @@ class LivePlant:
     def load(self) -> Load | None:
         return self._load
 
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        return self._fitted
+
     def visible_targets(self) -> dict[str, Array]:
         """{name: (3,)} where the mounted reflectors are now, in the tracker's frame [m]."""
         with self._lock:

@@ -65,7 +65,7 @@ def test_the_tracker_is_corrected_for_the_air_of_the_hall(rig: Rig) -> None:
     rig.run()
     with RecordingFile.open(rig.out) as file:
         shot = dict(file.shots(1))["P1"]
-    # red light at 21.1 °C, 1008 hPa, against a reference of 12 °C and 1013 hPa: 1 ppm/K and 0.27 ppm/hPa, so some 10 ppm
+    # red light at 21.1 °C, 1008 hPa, against 12 °C and 1013 hPa: 1 ppm/K and 0.27 ppm/hPa
     assert shot["ppm"] == pytest.approx(9.1 + 1.4, abs=1.0)
     assert shot["atmosphere"]["pressure_hpa"] == 1008.0
 

@@ -33,11 +33,11 @@ CASES: dict[str, tuple[str, str, Any, type[HardwareError], str]] = {
     "a motor sticks": ("longitudinal", "stick", None, FollowingError, r"longitudinal: following error at "),
     "a drive falls silent": ("vertical", "go_silent", None, HeartbeatLost, r"vertical: no .*\(node 2\)"),
     "a drive is unplugged": ("pitch", "unplug", None, HeartbeatLost, r"pitch: no .*\(node 6\)"),
-    "the bus falls silent": ("bus", "go_silent", None, BusLost, r"CAN virtual ppshw-sim-.*: silent: nothing from lateral, "),
+    "the bus falls silent": ("bus", "go_silent", None, BusLost, r"CAN virtual .*: silent: nothing from lateral, "),
     "a beam is broken": ("tracker", "lose_beam", "P2", BeamLost, r"tracker: no target found at P2"),
     "the tracker speaks garbage": ("tracker", "garble", 4000, HardwareError, r"tracker: "),
     "the tracker is unplugged": ("tracker", "unplug", None, LineLost, r"tracker: lost the port loopback"),
-    "the force sensor speaks garbage": ("force_sensor", "garble", 100_000, HardwareError, r"force sensor: \d+ bytes held only 0 of"),
+    "the force sensor speaks garbage": ("force_sensor", "garble", 10**5, HardwareError, r"force sensor: .* only 0 of"),
     "the force sensor is overloaded": ("force_sensor", "overrange", None, SensorOverrange, r"force sensor: "),
     "the force sensor is silent": ("force_sensor", "go_silent", None, HardwareTimeout, r"force sensor: nothing heard"),
 }
@@ -85,7 +85,7 @@ def test_a_fault_in_the_middle_of_a_motion_stops_every_axis_short_of_its_target(
 
 
 def assert_stopped(rig: Rig) -> None:
-    """No drive is enabled; braking from 0.1 m/s at 0.5 m/s² takes a fifth of a second, and then nothing moves any more."""
+    """No drive is enabled; braking from 0.1 m/s at 0.5 m/s² takes 0.2 s, and then nothing moves any more."""
     rig.clock.sleep(0.3)
     before = rig.hardware.joint_values()
     rig.clock.sleep(60.0)
