@@ -19,10 +19,11 @@ class ScaledClock:
     epoch  seconds since 1970 at which machine time and real time agree; with the same epoch and speed all read the same
     """
 
-    def __init__(self, speed: float = 1.0) -> None:
+    def __init__(self, speed: float = 1.0, epoch: float | None = None) -> None:
+        real = time.time()
         self.speed = speed
-        self.epoch = time.time()
-        self._zero = time.monotonic()
+        self.epoch = real if epoch is None else epoch
+        self._zero = time.monotonic() - (real - self.epoch)
         self._ticket = itertools.count()
         self._due: list[tuple[float, int, float | None, Callable[[], None]]] = []
         self._changed = threading.Condition()

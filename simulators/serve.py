@@ -25,6 +25,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from simulators.can_gateway import SlcanGateway
 from simulators.faults import FaultSchedule, faults_from
 from simulators.hardware import SimulatedHardware
@@ -79,7 +81,7 @@ def serving(
 ) -> Iterator[SimulatedHardware]:
     """Everything listens inside the context, and the site file is there."""
     with contextlib.ExitStack() as stack:
-        clock = ScaledClock(speed)
+        clock = ScaledClock(speed, _epoch_before(site_out, speed))
         stack.callback(clock.close)
         hardware = stack.enter_context(
             SimulatedHardware(
@@ -113,6 +115,14 @@ def times_at(speed: float) -> dict[str, float]:
         "answer_timeout": 1.0 * max(speed, 1.0),
         "sdo_timeout": 1.0,
     }
+
+
+def _epoch_before(site_out: Path, speed: float) -> float | None:
+    """Started again on the same site file, the hall's clock runs on: hurried time must not jump back."""
+    if not site_out.is_file():
+        return None
+    clock = (yaml.safe_load(site_out.read_text(encoding="utf-8")) or {}).get("clock") or {}
+    return float(clock["epoch"]) if clock.get("speed") == speed else None
 
 
 def _announce(site: Path) -> None:

@@ -26,7 +26,7 @@ settle_s: 1
 loads: [{name: empty, mass: 0}, {name: box, mass: 100, com: [0, 0.1, 0.3]}]
 steps: [{step: any, kind: random, count: 4, margin: 0.3, within: {lateral: [-0.3, 0.3], vertical: [-0.1, 0.1]}}]
 """
-SERVE = "import sys; from simulators.serve import serve; serve(sys.argv[1], sys.argv[2], seed=4, speed=20)"
+SERVE = "import sys; from simulators.serve import serve; serve(sys.argv[1], sys.argv[2], seed=4, speed=40)"
 
 
 @contextmanager
