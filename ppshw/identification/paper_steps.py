@@ -3,11 +3,12 @@
     θ = A y + T x₀
 
 y are the measured pose errors ΔX, x₀ = (ε_g(0), c(0)) what is chosen at home, θ the values at the sampled positions.
-Rows of y are scaled to about equal standard deviation: rotations are multiplied by a length.
+Rows of y are whitened visit by visit, so that they have unit variance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ppshw.identification.redundancy import independent_columns, solver
-from ppshw.identification.sweeps import Sweeps
+from ppshw.identification.sweeps import Configuration, Sweeps
 from ppshw.kinematics import error_jacobian, frames
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -27,8 +28,6 @@ from ppshw.terms.geometric import Geometric
 
 Array = NDArray[np.float64]
 PaperTerm = Geometric | Compliance
-# A parameter is redundant when the kept ones explain all but this share of what it does.
-REDUNDANT = 1e-3
 
 
 def paper_terms(machine: Machine, sweeps: Sweeps) -> tuple[PaperTerm, ...]:
@@ -48,151 +47,178 @@ def _interpolated(knots: tuple[float, ...]) -> Basis:
     return Interpolated(knots) if len(knots) > 1 else Constant()
 
 
-def choice_names(machine: Machine, terms: tuple[PaperTerm, ...]) -> list[str]:
+def choice_names(machine: Machine, terms: Sequence[PaperTerm]) -> list[str]:
     """Of x₀, e.g. "vertical.ty(0)" or "longitudinal.C[ty,Fy](0)"."""
     fixed = [replace(term, basis=Constant()) for term in terms]
     return [p.name.removesuffix("[0]") + "(0)" for term in fixed for p in term.parameters(machine.frame_names)]
 
 
 @dataclass(frozen=True)
-class Steps:
-    """The process for V visits, P parameters and p₀ choices.
+class Regression:
+    """Model (17) to first order for V visits, P parameters and p₀ choices at home, rows whitened.
 
-    design   (6V, P)    ΔX = D θ, eq. (17)
-    at_home  (6V, p₀)   the same for x₀ if nothing varied: J and M_e
-    elastic  (p₀,)      which choices are c(0)
-    data     (P, 6V)    A
-    start    (P, p₀)    T
+    jacobian          (V, 6, n+1, 6)  J
+    design            (6V, P)         ΔX = design · θ
+    at_home           (V, 6, p₀)      the same for x₀, if nothing varied: J and M_e
+    elastic           (p₀,)           which choices are c(0)
+    held              (P, p₀)         x₀ at every sampled position
+    theta_at, x0_at   where each term starts
     """
 
+    terms: tuple[PaperTerm, ...]
+    jacobian: Array
     design: sparse.csr_array
     at_home: Array
     elastic: NDArray[np.bool_]
-    data: sparse.csr_array
-    start: Array
+    held: Array
+    theta_at: tuple[int, ...]
+    x0_at: tuple[int, ...]
 
+    @classmethod
+    def of(cls, machine: Machine, terms: tuple[PaperTerm, ...], recording: Recording, whiten: Array) -> Regression:
+        """whiten  (6, 6) on every visit's ΔX"""
+        count, situation = len(recording), Situation.of(recording)
+        jacobian = error_jacobian(machine, recording.q).reshape(count, 6, machine.n + 1, 6)
+        jacobian = np.einsum("ij,vjfk->vifk", whiten, jacobian)
+        wrenches = link_wrenches(machine, frames(machine, recording.q), recording.wrench)
 
-def linear_steps(
-    machine: Machine, terms: tuple[PaperTerm, ...], recording: Recording, sweeps: Sweeps, row_scale: Array
-) -> Steps:
-    """Eqs (20) and (23) at every sampled position, for unit vectors of y and of x₀.
+        def columns(term: PaperTerm) -> Array:
+            return np.asarray(jacobian[:, :, term.frame] @ term.regressors(situation, wrenches))
 
-    row_scale  (6,) factors on the components of ΔX
-    """
-    count, situation = len(recording), Situation.of(recording)
-    jacobian = error_jacobian(machine, recording.q).reshape(count, 6, machine.n + 1, 6) * row_scale[:, None, None]
-    wrenches = link_wrenches(machine, frames(machine, recording.q), recording.wrench)
-
-    def columns(term: PaperTerm) -> Array:
-        return np.asarray(jacobian[:, :, term.frame] @ term.regressors(situation, wrenches))
-
-    blocks = [columns(term) for term in terms]
-    fixed = [columns(replace(term, basis=Constant())) for term in terms]
-    design = sparse.csr_array(sparse.hstack([sparse.csr_array(b.reshape(6 * count, -1)) for b in blocks]))
-    held = sparse.block_diag([np.kron(np.eye(f.shape[2]), np.ones((t.basis.size, 1))) for t, f in zip(terms, fixed, strict=True)])
-    held = held.toarray()  # x₀ at every position
-    at_home = np.concatenate(fixed, axis=2)
-    elastic = np.repeat([isinstance(t, Compliance) for t in terms], [f.shape[2] for f in fixed])
-    elastic_row = np.repeat([isinstance(t, Compliance) for t in terms], [b.shape[2] for b in blocks])
-    first = np.concatenate([[0], np.cumsum([b.shape[2] for b in blocks])])
-
-    stiff = _Operator(design.shape[1], count)
-    bowed = _Operator(design.shape[1], count)
-    for k, term in enumerate(terms):
-        if isinstance(term, Compliance):
-            _compliance_steps(stiff, int(first[k]), term, fixed[k], sweeps)
-        else:
-            _geometric_steps(bowed, int(first[k]), term, jacobian[:, :, term.frame], sweeps)
-    flat_home = at_home.reshape(6 * count, -1)
-    pull, push = stiff.matrix(), bowed.matrix()
-    start = held * elastic_row[:, None] - pull @ (flat_home * elastic)  # (20)
-    bending = design @ sparse.diags_array(elastic_row.astype(float))
-    data = pull + push - push @ (bending @ pull)  # (23)
-    start += held * ~elastic_row[:, None] - push @ (bending @ start + flat_home * ~elastic)
-    return Steps(design, at_home, elastic, sparse.csr_array(data), start)
-
-
-class _Operator:
-    """A sparse (P, 6V) matrix, block by block."""
-
-    def __init__(self, size: int, visits: int) -> None:
-        self._shape = (size, 6 * visits)
-        self._rows: list[Array] = []
-        self._columns: list[Array] = []
-        self._values: list[Array] = []
-
-    def add(self, rows: Array, visits: Array, block: Array) -> None:
-        """block (len(rows), 6 len(visits))"""
-        columns = (6 * visits[:, None] + np.arange(6)).ravel()
-        r, c = np.meshgrid(rows, columns, indexing="ij")
-        self._rows.append(r.ravel())
-        self._columns.append(c.ravel())
-        self._values.append(block.ravel())
-
-    def matrix(self) -> sparse.csr_array:
-        if not self._rows:
-            return sparse.csr_array(self._shape)
-        where = np.concatenate(self._rows), np.concatenate(self._columns)
-        return sparse.csr_array(sparse.coo_array((np.concatenate(self._values), where), shape=self._shape))
-
-
-def _compliance_steps(operator: _Operator, first: int, term: Compliance, m_e: Array, sweeps: Sweeps) -> None:
-    """DΔX = DM_ei Δc_i at every position of a joint whose compliance varies   (eq. 20).
-
-    m_e  (V, 6, e) ∂ΔX/∂c_i
-    """
-    if not isinstance(term.basis, Interpolated):
-        return
-    places = [c for c in sweeps.of_joint(term.frame - 1) if c.paired]
-    pairs = [differences(m_e[c.visits]) for c in places]
-    common = independent_columns(np.concatenate(pairs), REDUNDANT)
-    positions = term.basis.size
-    for place, d in zip(places, pairs, strict=True):
-        kept = [common[k] for k in independent_columns(d[:, common], REDUNDANT)]
-        at = term.basis.knots.index(float(place.q[term.frame - 1]))
-        rows = first + np.arange(len(term.elements)) * positions + at
-        operator.add(rows, place.visits, solver(d, kept))
-
-
-def _geometric_steps(operator: _Operator, first: int, term: Geometric, j_i: Array, sweeps: Sweeps) -> None:
-    """Δε_gi = J_i⁻¹ (ΔX − M_e c − J ε_g(0)), mean over the visits at each position   (eq. 23).
-
-    j_i  (V, 6, 6)
-    """
-    if not isinstance(term.basis, Interpolated):
-        return
-    for place in sweeps.of_joint(term.frame - 1):
-        at = term.basis.knots.index(float(place.q[term.frame - 1]))
-        rows = first + np.arange(6) * term.basis.size + at
-        inverse = np.linalg.inv(j_i[place.visits]) / len(place.visits)
-        operator.add(rows, place.visits, np.moveaxis(inverse, 0, 1).reshape(6, -1))
+        blocks = [columns(term) for term in terms]
+        fixed = [columns(replace(term, basis=Constant())) for term in terms]
+        widths, choices = [b.shape[2] for b in blocks], [f.shape[2] for f in fixed]
+        held = np.zeros((sum(widths), sum(choices)))
+        theta_at, x0_at = np.cumsum([0, *widths[:-1]]), np.cumsum([0, *choices[:-1]])
+        for row, column, width, choice in zip(theta_at, x0_at, widths, choices, strict=True):
+            held[row : row + width, column : column + choice] = np.kron(np.eye(choice), np.ones((width // choice, 1)))
+        return cls(
+            terms,
+            jacobian,
+            sparse.csr_array(sparse.hstack([sparse.csr_array(b.reshape(6 * count, -1)) for b in blocks])),
+            np.concatenate(fixed, axis=2),
+            np.repeat([isinstance(t, Compliance) for t in terms], choices),
+            held,
+            tuple(theta_at.tolist()),
+            tuple(x0_at.tolist()),
+        )
 
 
 def differences(values: Array) -> Array:
     """Values at one configuration (L, 6, k) less their mean, as (6L, k).
 
-    Least squares over these equals least squares over all pairs W, W₀ of eq. (18), each pair counting the same, and
-    takes care that pairs share visits.
+    Least squares over these equals least squares over all pairs W, W₀ of eq. (18) at this configuration.
     """
     return np.asarray((values - values.mean(axis=0)).reshape(-1, values.shape[-1]))
 
 
-def from_weight_pairs(steps: Steps, y: Array, terms: tuple[PaperTerm, ...], sweeps: Sweeps) -> tuple[Array, list[int], int]:
-    """c^c(0) of eq. (24), redundant parameters zero, and ε_g(0) = 0.
+def pair_places(terms: Sequence[PaperTerm], sweeps: Sweeps) -> list[Configuration]:
+    """The configurations of eq. (24): all joints whose compliance varies are at home.
 
-    Every configuration counts where all joints whose compliance varies are at home; the others may be anywhere, since
-    their compliance is the same there (section 4.1, "configurations with q_4 different from zero can be used").
-
-    returns  x₀ (p₀,), the columns kept, the number of independent differences
+    The others may be anywhere, their compliance is the same there ("configurations with q_4 different from zero can be
+    used", section 4.1).
     """
     varying = {t.frame - 1 for t in terms if isinstance(t, Compliance) and isinstance(t.basis, Interpolated)}
-    places = [c for c in sweeps.configurations if c.paired and not varying & set(c.away)]
-    x0 = np.zeros(len(steps.elastic))
+    return [c for c in sweeps.configurations if c.paired and not varying & set(c.away)]
+
+
+def from_weight_pairs(
+    regression: Regression, y: Array, places: Sequence[Configuration], by_noise: bool
+) -> tuple[Array, list[int]]:
+    """c^c(0) of eq. (24), redundant parameters zero, and ε_g(0) = 0.
+
+    y        (V, 6)
+    returns  x₀ (p₀,) and the choices that were kept
+    """
+    x0 = np.zeros(len(regression.elastic))
+    elastic = np.flatnonzero(regression.elastic)
     if not places:
-        return x0, [], 0
-    c0 = np.flatnonzero(steps.elastic)
-    system = np.concatenate([differences(steps.at_home[c.visits][:, :, c0]) for c in places])
-    given = np.concatenate([differences(y.reshape(-1, 6, 1)[c.visits]) for c in places])[:, 0]
-    kept = independent_columns(system, REDUNDANT)
-    x0[c0] = solver(system, kept) @ given
-    return x0, [int(c0[k]) for k in kept], sum(len(c.visits) - 1 for c in places)
+        return x0, []
+    system = np.concatenate([differences(regression.at_home[c.visits][:, :, elastic]) for c in places])
+    given = np.concatenate([differences(y[c.visits, :, None])[:, 0] for c in places])
+    kept = independent_columns([system], [given] if by_noise else None)
+    x0[elastic] = solver(system, kept) @ given
+    return x0, [int(elastic[k]) for k in kept]
+
+
+def linear_process(
+    regression: Regression, y: Array, x0: Array, sweeps: Sweeps, by_noise: bool
+) -> tuple[sparse.csr_array, Array]:
+    """A (P, 6V) and T (P, p₀): eqs (20) and (23) at every sampled position.
+
+    Which elements of Δc_i are above noise is decided with the first choice x₀ (p₀,); all else is independent of data.
+    """
+    varied, moved = _Operator(regression.design.shape), _Operator(regression.design.shape)
+    elastic = y - regression.at_home @ (x0 * regression.elastic)
+    for k, term in enumerate(regression.terms):
+        if not isinstance(term.basis, Interpolated):
+            continue
+        if isinstance(term, Compliance):
+            own = regression.at_home[:, :, regression.x0_at[k] :][:, :, : len(term.elements)]
+            data = elastic if by_noise else None
+            _compliance_steps(varied, regression.theta_at[k], term, term.basis, own, data, sweeps)
+        else:
+            _geometric_steps(moved, regression.theta_at[k], term, term.basis, regression.jacobian, sweeps)
+    pull, push = varied.matrix(), moved.matrix()
+    at_home = regression.at_home.reshape(-1, len(x0))
+    held_c, held_g = regression.held * regression.elastic, regression.held * ~regression.elastic
+    of_compliances = (regression.held @ regression.elastic > 0).astype(float)
+    bending = regression.design @ sparse.diags_array(of_compliances)  # M_e(q, W) with interpolated c
+    # (20): Δc = pull (y − M_e c(0)), then (23): Δε_g = push (y − M_e c − J ε_g(0))
+    start_c = held_c - pull @ (at_home * regression.elastic)
+    start_g = held_g - push @ (bending @ start_c + at_home * ~regression.elastic)
+    return sparse.csr_array(pull + push - push @ (bending @ pull)), start_c + start_g
+
+
+def _compliance_steps(
+    operator: _Operator,
+    first: int,
+    term: Compliance,
+    basis: Interpolated,
+    m_e: Array,
+    data: Array | None,
+    sweeps: Sweeps,
+) -> None:
+    """DΔX − DM_e c(0) = DM_ei Δc_i at every position of a joint whose compliance varies   (eq. 20).
+
+    m_e (V, 6, e) ∂ΔX/∂c_i;  data (V, 6) the left-hand side, None: keep all that is not redundant in principle
+    """
+    joint = term.frame - 1
+    places = [c for c in sweeps.of_joint(joint) if c.paired]
+    designs = [differences(m_e[c.visits]) for c in places]
+    given = None if data is None else [differences(data[c.visits, :, None])[:, 0] for c in places]
+    kept = independent_columns(designs, given)
+    for place, design in zip(places, designs, strict=True):
+        rows = first + np.arange(len(term.elements)) * basis.size + basis.knots.index(float(place.q[joint]))
+        operator.add(rows, place.visits, solver(design, kept))
+
+
+def _geometric_steps(
+    operator: _Operator, first: int, term: Geometric, basis: Interpolated, jacobian: Array, sweeps: Sweeps
+) -> None:
+    """Δε_gi = J_i⁻¹ (ΔX − M_e c − J ε_g(0)), mean over the visits at each position   (eq. 23)."""
+    joint = term.frame - 1
+    for place in sweeps.of_joint(joint):
+        rows = first + np.arange(6) * basis.size + basis.knots.index(float(place.q[joint]))
+        inverse = np.linalg.inv(jacobian[place.visits, :, term.frame]) / len(place.visits)
+        operator.add(rows, place.visits, np.moveaxis(inverse, 0, 1).reshape(6, -1))
+
+
+class _Operator:
+    """A sparse (P, 6V) matrix, filled block by block."""
+
+    def __init__(self, design_shape: tuple[int, ...]) -> None:
+        self._shape = design_shape[::-1]
+        self._blocks: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
+
+    def add(self, rows: NDArray[np.int64], visits: NDArray[np.int64], block: Array) -> None:
+        """block (len(rows), 6 len(visits))"""
+        columns = (6 * visits[:, None] + np.arange(6)).ravel()
+        r, c = np.meshgrid(rows, columns, indexing="ij")
+        self._blocks.append((r.ravel(), c.ravel(), block.ravel()))
+
+    def matrix(self) -> sparse.csr_array:
+        if not self._blocks:
+            return sparse.csr_array(np.zeros(self._shape))
+        rows, columns, values = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
+        return sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=self._shape))

@@ -41,7 +41,7 @@ class PoseErrors:
 
 
 def pose_errors(machine: Machine, recording: Recording) -> PoseErrors:
-    """E_T = (A_T^i)^{-1} A_T^r, A_T^r by a rigid fit of the targets. Raises IdentificationFailed without a full pose."""
+    """E_T = (A_T^i)⁻¹ A_T^r, A_T^r by a rigid fit of the targets. Raises IdentificationFailed without a full pose."""
     frame = machine.tracker.base
     if frame is None:
         frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)

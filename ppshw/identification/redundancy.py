@@ -1,4 +1,9 @@
-"""Least squares with redundant parameters set to zero   (paper, below eq. 24)."""
+"""Which parameters are redundant, and least squares with those set to zero   (paper, below eq. 24).
+
+Redundant in principle: a column that others can replace. Redundant in this recording: a column that adds no more than
+noise would. The second bound is the stricter one by far and what keeps identified parameters from chasing noise; the
+paper's "some simple knowledge on the system's physics" does the same work by hand.
+"""
 
 from __future__ import annotations
 
@@ -6,38 +11,69 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.stats import chi2
 
 Array = NDArray[np.float64]
+# A column is redundant in principle when the kept ones explain all but this share of it.
+SHARE = 1e-3
+# … and in this recording when pure noise would add as much once in a thousand times.
+CONFIDENCE = 0.999
 
 
-def independent_columns(design: Array, tolerance: float, first: Sequence[int] = ()) -> list[int]:
-    """Columns that carry everything the design can see, in the order of a pivoted QR decomposition.
+def independent_columns(
+    designs: Sequence[Array], data: Sequence[Array] | None, first: Sequence[int] = (), share: float = SHARE
+) -> list[int]:
+    """Columns to keep, in the order of a pivoted orthogonalisation; one choice for all places.
 
-    Columns are scaled to unit length; one is redundant when what the kept ones leave of it is shorter than `tolerance`.
-    Columns of `first` are kept before all others are looked at, so that they are never traded for their equals.
+    Without data the pivot is the longest remaining column in units of its length (QR with column pivoting). With data
+    it is the one that explains most of what is left, until that is no more than noise: Δχ² below the quantile of χ²
+    with one degree of freedom per place.
 
-    design  (rows, p), rows of equal standard deviation
+    designs  at every place (rows, p), rows of unit variance;  data  at every place (rows,)
+    first    columns kept before all others
     """
-    size = np.linalg.norm(design, axis=0)
-    alive = np.flatnonzero(size > 1e-12 * size.max(initial=0.0))
-    if not len(alive):
-        return []
-    scaled = design[:, alive] / size[alive]
-    kept = [k for k in first if k in alive]
-    if kept:
-        basis, _ = np.linalg.qr(scaled[:, np.searchsorted(alive, kept)])
-        scaled = scaled - basis @ (basis.T @ scaled)
-    triangle, order = qr(scaled, mode="r", pivoting=True)
-    rank = int((np.abs(np.diag(triangle)) > tolerance).sum())
-    return kept + [int(k) for k in alive[order[:rank]] if k not in kept]
+    left = [np.array(d, dtype=float) for d in designs]
+    goal = None if data is None else [np.array(y, dtype=float) for y in data]
+    length = np.array([np.linalg.norm(d, axis=0) for d in designs])
+    whole = np.linalg.norm(length, axis=0)
+    length[:, whole <= 1e-12 * whole.max(initial=0.0)] = 0.0
+    kept: list[int] = []
+    coming = list(first)
+    while len(kept) < len(whole):
+        size = np.array([np.linalg.norm(d, axis=0) for d in left])
+        alive = (size > share * length) & (length > 0)
+        alive[:, kept] = False
+        if coming:
+            best = coming.pop(0)
+        elif goal is None:
+            worth = np.linalg.norm(np.where(alive, size, 0.0), axis=0) / np.where(whole > 0, whole, 1.0)
+            best = int(np.argmax(worth))
+            if worth[best] <= share:
+                break
+        else:
+            along = np.array([y @ d for y, d in zip(goal, left, strict=True)])
+            gain = (np.where(alive, along / np.where(alive, size, 1.0), 0.0) ** 2).sum(axis=0)
+            best = int(np.argmax(gain))
+            if gain[best] <= chi2.ppf(CONFIDENCE, max(1, int(alive[:, best].sum()))):
+                break
+        kept.append(best)
+        for k in np.flatnonzero(alive[:, best]):
+            unit = left[k][:, best] / size[k, best]
+            left[k] -= np.outer(unit, unit @ left[k])
+            if goal is not None:
+                goal[k] -= unit * (unit @ goal[k])
+    return kept
 
 
-def solver(design: Array, kept: Sequence[int]) -> Array:
-    """(p, rows) operator of the least-squares solution in the kept columns, zero in all others."""
+def solver(design: Array, kept: Sequence[int], share: float = SHARE) -> Array:
+    """(p, rows) operator of the least-squares solution in the kept columns, zero in all others.
+
+    Where kept columns depend on each other at this very place, the smallest solution in scaled columns is taken.
+    """
     out = np.zeros(design.T.shape)
-    if kept:
+    if len(kept):
         chosen = design[:, list(kept)]
         size = np.linalg.norm(chosen, axis=0)
-        out[list(kept)] = np.linalg.pinv(chosen / size) / size[:, None]
+        size[size == 0.0] = 1.0
+        out[list(kept)] = np.linalg.pinv(chosen / size, rcond=share) / size[:, None]
     return out

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.errors import IdentificationFailed
+from ppshw.machine import Machine
 from ppshw.recording import Recording
 
 Array = NDArray[np.float64]
@@ -18,24 +19,28 @@ Indices = NDArray[np.int64]
 # Setpoints closer than this are one position [m, rad]. Setpoints of a campaign are equal to the last bit; encoder
 # positions, where a file holds nothing else, scatter by some micrometres.
 SAME_POSITION = 5e-5
-# Two loads differ when force or moment do by this share of the greatest in the recording: well above the sensor's noise.
+# Loads differ when force or moment do by this share of the greatest in the recording: well above the sensor's noise.
 OTHER_LOAD = 0.03
 ADVICE = "the paper's method needs its campaign (`ppshw plan paper`); `--method joint` works on any recording"
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """All visits at one q; `away`: the joints that are not at home; paired: under different loads."""
+    """All visits at one q; away: the joints that are not at home; loads: the visits of each load."""
 
     q: Array
     away: tuple[int, ...]
     visits: Indices
-    paired: bool
+    loads: tuple[Indices, ...]
+
+    @property
+    def paired(self) -> bool:
+        return len(self.loads) > 1
 
 
 @dataclass(frozen=True)
 class Sweeps:
-    """home (n,); configurations in the order of the first visit."""
+    """home (n,); configurations."""
 
     home: Array
     configurations: tuple[Configuration, ...]
@@ -46,43 +51,52 @@ class Sweeps:
         return sorted(found, key=lambda c: float(c.q[joint]))
 
     def knots(self, joint: int, paired: bool = False) -> tuple[float, ...]:
-        """Sampled positions of a joint (with weight pairs), home included."""
+        """Sampled positions of a joint (under several loads), home included."""
         found = [float(c.q[joint]) for c in self.of_joint(joint) if c.paired or not paired]
         return tuple(sorted([float(self.home[joint]), *found]))
 
 
-def find_sweeps(recording: Recording, same_position: float = SAME_POSITION) -> Sweeps:
+def find_sweeps(machine: Machine, recording: Recording, same_position: float = SAME_POSITION) -> Sweeps:
     """Home is where most visits have each joint.
 
-    Raises IdentificationFailed where home was never visited or where a joint that moves was never moved alone.
+    Raises IdentificationFailed, saying what is missing: a visit at home, a sweep of a joint that moves, weight pairs.
     """
     q = recording.q_cmd
     labels = np.column_stack([_clusters(q[:, k], same_position) for k in range(q.shape[1])])
-    home_labels = np.array([_most_common(labels[:, k], q[:, k]) for k in range(q.shape[1])])
-    away = labels != home_labels
+    away = labels != [_most_common(labels[:, k], q[:, k]) for k in range(q.shape[1])]
     if away.any(axis=1).all():
         raise IdentificationFailed(f"{recording.source}: no visit with all joints at home together; {ADVICE}")
-    _, first, which = np.unique(labels, axis=0, return_index=True, return_inverse=True)
-    which = which.reshape(-1)
-    wrench_scale = [np.abs(recording.wrench[:, part]).max() for part in (slice(0, 3), slice(3, 6))]
+    which = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    force, moment = (float(np.abs(recording.wrench[:, part]).max()) for part in (slice(0, 3), slice(3, 6)))
+    step = OTHER_LOAD * np.repeat([force, moment], 3)
     found = []
-    for label in np.argsort(first):
+    for label in range(which.max() + 1):
         visits = np.flatnonzero(which == label)
         moved = tuple(np.flatnonzero(away[visits[0]]).tolist())
-        spread = np.ptp(recording.wrench[visits], axis=0)
-        paired = any(
-            scale > 0 and spread[part].max() > OTHER_LOAD * scale
-            for part, scale in zip((slice(0, 3), slice(3, 6)), wrench_scale, strict=True)
-        )
-        found.append(Configuration(q[visits].mean(axis=0), moved, visits, paired))
+        found.append(Configuration(q[visits].mean(axis=0), moved, visits, _loads(visits, recording.wrench, step)))
     home = next(c.q for c in found if not c.away)
     sweeps = Sweeps(home, tuple(found))
-    for k, name in enumerate(recording.joint_names):
-        if away[:, k].any() and not sweeps.of_joint(k):
-            raise IdentificationFailed(
-                f"{recording.source}: {name} was never moved alone, with the others at home; {ADVICE}"
-            )
+    _check(machine, recording, sweeps, away)
     return sweeps
+
+
+def _check(machine: Machine, recording: Recording, sweeps: Sweeps, away: NDArray[np.bool_]) -> None:
+    elastic = any(joint.elastic is not None for joint in machine.joints)
+    if elastic and not any(c.paired for c in sweeps.configurations):
+        why = "under two different loads" if recording.has_wrench else "under known loads (no columns Fx … Mz)"
+        raise IdentificationFailed(f"{recording.source}: no configuration was measured {why}; {ADVICE}")
+    for k, joint in enumerate(machine.joints):
+        if not away[:, k].any():
+            continue
+        if not sweeps.of_joint(k):
+            raise IdentificationFailed(
+                f"{recording.source}: {joint.name} was never moved alone, with the others at home; {ADVICE}"
+            )
+        if joint.elastic and joint.elastic.varies and len(sweeps.knots(k, paired=True)) < 2:
+            raise IdentificationFailed(
+                f"{recording.source}: the compliance of {joint.name} varies, but at no position of it were two "
+                f"different loads measured; {ADVICE}"
+            )
 
 
 def _clusters(x: Array, tolerance: float) -> Indices:
@@ -99,3 +113,16 @@ def _most_common(labels: Indices, x: Array) -> int:
     best = np.flatnonzero(counts == counts.max())
     nearest = [np.abs(x[labels == label]).min() for label in best]
     return int(best[int(np.argmin(nearest))])
+
+
+def _loads(visits: Indices, wrench: Array, step: Array) -> tuple[Indices, ...]:
+    """Visits whose wrench is the same as the first's of their group."""
+    groups: list[list[int]] = []
+    for v in visits:
+        for group in groups:
+            if np.all(np.abs(wrench[v] - wrench[group[0]]) <= step):
+                group.append(int(v))
+                break
+        else:
+            groups.append([int(v)])
+    return tuple(np.array(group) for group in groups)
