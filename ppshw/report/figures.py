@@ -64,13 +64,14 @@ def radial_distribution(errors: Array, title: str, what: str, colour: str = AFTE
     size = np.sort(size[np.isfinite(size)])
     mark, median = float(np.quantile(size, QUANTILE)), float(np.median(size))
     right = max(size[-1], TOLERANCE_MM if limit and size[-1] > 0.4 * TOLERANCE_MM else 0.0) * 1.06
-    if len(size) > 2000:  # a few stray readings of many must not squeeze the rest into one bar
-        right = min(right, 4 * mark)
+    if len(size) > 500:  # a few stray readings of many must not squeeze the rest into one bar
+        right = min(right, 3 * mark)
     with canvas() as c:
         ax = c.axes
         bins = np.linspace(0, right, int(np.clip(np.sqrt(len(size)) * 2.2, 12, 60))).tolist()
         ax.hist(size, bins=bins, color=colour, alpha=0.35, edgecolor="white", lw=0.5)
         ax.set(xlim=(0, right), xlabel="radial error [mm]", ylabel=f"{what} per bar")
+        ax.locator_params(axis="x", nbins=7)
         share = ax.twinx()
         steps = np.unique(np.linspace(0, len(size) - 1, min(len(size), MOST_VECTOR_MARKS)).astype(int))
         share.step([0, *size[steps], max(right, size[-1])], [0, *(100 * (steps + 1) / len(size)), 100],
@@ -80,7 +81,8 @@ def radial_distribution(errors: Array, title: str, what: str, colour: str = AFTE
         share.spines["right"].set_visible(True)
         share.axvline(mark, color=MARK, lw=1.2, ls="--")
         on_left = mark > 0.5 * right
-        share.annotate(f"98.6 %: {mark:.3f} mm", (mark, 52), (-5 if on_left else 5, 0), textcoords="offset points",
+        label = f"98.6 %: {mark:.3f} mm" if mark > 0.02 else f"98.6 %: {mark:.2g} mm"
+        share.annotate(label, (mark, 52), (-5 if on_left else 5, 0), textcoords="offset points",
                        ha="right" if on_left else "left", color=MARK, fontsize=9, bbox=CLEAR)  # fmt: skip
         if limit and right > TOLERANCE_MM:
             share.axvline(TOLERANCE_MM, color=INK, lw=1.0)
@@ -93,6 +95,8 @@ def radial_distribution(errors: Array, title: str, what: str, colour: str = AFTE
         )
         resting = max(1, int(np.ceil(len(size) * (1 - QUANTILE))))
         note = f"{len(size)} {what}, in bars (left axis) and as share below (line, right axis)."
+        if beyond := int((size > right).sum()):
+            note += f" {beyond} lie beyond the right edge."
         if 1 < resting <= 5:
             note += f" The 98.6 % figure rests on the {resting} largest of them."
         return c.picture(title, alt, note)

@@ -54,8 +54,8 @@ class Element:
 
 
 def pictures(calibration: Calibration) -> tuple[list[Picture], list[str]]:
-    """Per joint: displacements, rotations, and its compliances where they vary; and the compliances whose change is
-    nowhere beyond two standard deviations, by name."""
+    """Per joint: displacements, rotations, and its compliances where they vary; and per joint a word on those whose
+    change is nowhere beyond two standard deviations."""
     out: list[Picture] = []
     quiet: list[str] = []
     for term, at in _terms(calibration):
@@ -65,11 +65,14 @@ def pictures(calibration: Calibration) -> tuple[list[Picture], list[str]]:
         if isinstance(term, Geometric):
             out += [_geometric(calibration, term, at, name, unit, kind) for kind in "tr"]
         else:
+            still: list[str] = []
             for kind in dict.fromkeys(element_kind(a, b) for a, b in term.elements):
                 curves = compliance_curves(calibration, term, at, kind)
-                quiet += [f"{name} ({c.label})" for c in curves if not c.shows]
+                still += [f"({c.label})" for c in curves if not c.shows]
                 if shown := [c for c in curves if c.shows]:
                     out.append(_compliance(shown, name, unit, kind))
+            if still:
+                quiet.append(f"{name} {' '.join(still)}")
     return out, quiet
 
 
@@ -145,7 +148,8 @@ def _geometric(calibration: Calibration, term: Geometric, at: int, name: str, un
 
 def _compliance(curves: list[Curve], name: str, unit: str, kind: str) -> Picture:
     what, symbol, factor = COMPLIANCE[kind]
-    return _plot(curves, factor, f"{name} [{unit}]", f"compliance [{symbol}]", f"Compliance of {name}: {what}", symbol)
+    label, title = f"change of compliance [{symbol}]", f"Compliance of {name}: {what}"
+    return _plot(curves, factor, f"{name} [{unit}]", label, title, symbol)
 
 
 def _plot(curves: list[Curve], factor: float, xlabel: str, ylabel: str, title: str, unit: str) -> Picture:

@@ -27,6 +27,7 @@ STYLE: dict[Any, Any] = {
     "axes.edgecolor": "#666666",
     "axes.labelcolor": INK,
     "axes.linewidth": 0.8,
+    "axes.formatter.limits": (-3, 5),
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.spines.top": False,

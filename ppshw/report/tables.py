@@ -55,10 +55,11 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
         out.append(("Repeatability", text))
     if left is not None:
         out.append(("Outliers", f"{int(left.outlier.sum())} of {len(left.outlier)} visits of the identification"))
-    if "visits" in result and "readings" in result:
-        out.append(("Whole run, as it says", f"{plain(result['visits'])} visits, {plain(result['readings'])} readings"))
+    run = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
     if isinstance(result.get("seconds"), int | float):
-        out.append(("Run time, as it says", duration(float(result["seconds"]))))
+        run.append(f"done in {duration(float(result['seconds']))}")
+    if run:
+        out.append(("Whole run", ", ".join(run)))
     return out
 
 
@@ -140,10 +141,11 @@ def timed(recording: Recording) -> bool:
 
 
 def duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
+    text = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    if seconds < 120:
+        text = f"{seconds:.0f} s"
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def plain(value: Any) -> str:

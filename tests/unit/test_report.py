@@ -1,0 +1,439 @@
+"""The verification's arithmetic by hand, and a page made from a simulated machine that was really identified."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import re
+import shutil
+from datetime import UTC, datetime, timedelta
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from ppshw.calibration import Calibration
+from ppshw.compensation import solve_pose
+from ppshw.errors import BadInput, RecordingError, ReportError
+from ppshw.identification.joint import estimate
+from ppshw.identification.structure import joint_model
+from ppshw.kinematics import tip_poses
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, columns_for, load_recording
+from ppshw.recording_file import RecordingFile
+from ppshw.report import build_report
+from ppshw.report.contents import read_folder
+from ppshw.report.numbers import compute, fit
+from ppshw.report.page import headline
+from ppshw.report.tables import facts
+from ppshw.verification import point_errors, repeatability, returns_of
+from simulators.plant import Plant
+
+NOW = datetime(2026, 3, 5, 12, 0, tzinfo=UTC)
+
+# One slide along x, a quarter turn of the tool about z behind it; the tracker stands at (1, 2, 3), turned a quarter
+# turn about z: what it calls x is the base's y, what it calls y is the base's −x.
+SLIDE = """\
+name: slide
+gravity: [0, 0, -9.81]
+joints:
+  - {name: s, type: prismatic, origin: {xyz: [0, 0, 0], rpy: [0, 0, 0]}, axis: [1, 0, 0]}
+tip:
+  origin: {xyz: [0, 0, 0], rpy: [0, 0, 1.5707963267948966]}
+  targets: {P1: [0, 0, 0]}
+  points: {treatment: [0.2, 0, 0]}
+tracker: {base: BASE}
+"""
+KNOWN = "{xyz: [1, 2, 3], rpy: [0, 0, 1.5707963267948966]}"
+
+
+def slide(folder: Path, base: str = KNOWN) -> Machine:
+    (folder / "machine.yaml").write_text(SLIDE.replace("BASE", base))
+    return load_machine(folder / "machine.yaml")
+
+
+def recording(folder: Path, machine: Machine, header: str, *rows: str) -> Recording:
+    path = folder / "r.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return load_recording(path, machine)
+
+
+COLUMNS = "load,q_cmd_s,P1_x,P1_y,P1_z,treatment_x,treatment_y,treatment_z"
+
+
+# Errors at the point -------------------------------------------------------------------------------------------------
+
+
+def test_the_error_is_measured_minus_wanted_in_the_base_frame(tmp_path: Path) -> None:
+    machine = slide(tmp_path)
+    # wanted s = 0.5 puts the point at (0.5, 0.2, 0) of the base; it was seen at (0.501, 0.198, 0.003), which is
+    # (−0.499, −1.802, −2.997) from the tracker's place, and along the tracker's own axes (−1.802, 0.499, −2.997)
+    made = recording(tmp_path, machine, COLUMNS + ",cov_wanted_s", "a,0.4,,,,-1.802,0.499,-2.997,0.5")
+    assert point_errors(made, machine, "treatment")[0] == pytest.approx([1e-3, -2e-3, 3e-3], abs=1e-12)
+
+
+def test_without_wanted_columns_the_setpoints_were_wanted(tmp_path: Path) -> None:
+    machine = slide(tmp_path)
+    made = recording(tmp_path, machine, COLUMNS, "a,0.4,,,,-1.802,0.499,-2.997", "a,0.5,,,,,,")
+    errors = point_errors(made, machine, "treatment")
+    assert errors[0] == pytest.approx([101e-3, -2e-3, 3e-3], abs=1e-12)
+    assert np.isnan(errors[1]).all()
+
+
+def test_a_wanted_joint_value_left_empty_is_an_error(tmp_path: Path) -> None:
+    machine = slide(tmp_path)
+    made = recording(tmp_path, machine, COLUMNS + ",cov_wanted_s", "a,0,,,,0,0,0,0", "a,0,,,,0,0,0,")
+    with pytest.raises(RecordingError, match=r"visit 2: column cov_wanted_s is empty"):
+        point_errors(made, machine, "treatment")
+
+
+def test_a_point_without_a_reflector_is_named(tmp_path: Path) -> None:
+    machine = slide(tmp_path)
+    made = recording(tmp_path, machine, "q_cmd_s,P1_x,P1_y,P1_z", "0,0,0,0")
+    with pytest.raises(RecordingError, match="no column treatment_x"):
+        point_errors(made, machine, "treatment")
+
+
+def test_an_open_measuring_frame_is_taken_from_the_calibration_or_refused(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "estimate")
+    made = recording(tmp_path, machine, COLUMNS, "a,0.5,,,,0.5,0.2,0.001")
+    with pytest.raises(RecordingError, match=r"tracker\.base: estimate"):
+        point_errors(made, machine, "treatment")
+    placed = point_errors(made, machine, "treatment", np.eye(4))
+    assert placed[0] == pytest.approx([0, 0, 1e-3], abs=1e-12)
+
+
+# Repeatability -------------------------------------------------------------------------------------------------------
+
+
+def test_repeatability_of_two_visits_by_hand(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "{}")
+    # ±0.1 mm about the mean: standard deviation over n − 1 is 0.1·√2 mm; both are 0.1 mm off, so RP = 0.1 + 3·0
+    rows = ["a,0,,,,0.0001,0.2,0", "a,0,,,,-0.0001,0.2,0"]
+    again = repeatability(recording(tmp_path, machine, COLUMNS, *rows), machine, "treatment")
+    assert again["sigma_mm"] == pytest.approx([0.1 * 2**0.5, 0, 0], abs=1e-9)
+    assert again["repeatability_mm"] == pytest.approx(0.1 * 2**0.5)
+    assert again["rp_iso9283_mm"] == pytest.approx(0.1)
+    assert (again["poses"], again["visits"]) == (1, 2)
+
+
+def test_iso_9283_by_hand_for_distances_of_one_two_and_three(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "{}")
+    # y about 0.2: −3, 0, 0, 3 tenths of a mm along z: distances 3, 0, 0, 3 → mean 1.5, S over n − 1 = √3
+    rows = [f"a,0,,,,0,0.2,{z}" for z in ("-0.0003", "0", "0", "0.0003")]
+    again = repeatability(recording(tmp_path, machine, COLUMNS, *rows), machine, "treatment")
+    assert again["rp_iso9283_mm"] == pytest.approx(0.1 * (1.5 + 3 * 3**0.5))
+
+
+def test_poses_and_loads_are_not_mixed_and_single_visits_do_not_count(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "{}")
+    rows = ["a,0,,,,0,0.2,0", "b,0,,,,0.005,0.2,0", "a,0.1,,,,0.1,0.2,0", "a,0,,,,0,0.2,0", "b,0,,,,0.005,0.2,0",
+            "a,0.3,,,,0.3,0.2,0"]  # fmt: skip
+    again = repeatability(recording(tmp_path, machine, COLUMNS, *rows), machine, "treatment")
+    assert (again["poses"], again["visits"]) == (2, 4)
+    assert again["repeatability_mm"] == pytest.approx(0, abs=1e-9)
+    with pytest.raises(RecordingError, match="no pose was visited twice"):
+        repeatability(recording(tmp_path, machine, COLUMNS, *rows[:3]), machine, "treatment")
+
+
+def test_a_compensated_machine_returns_to_what_was_wanted_not_to_what_was_commanded(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "{}")
+    rows = [f"a,{0.5 + k * 1e-5},,,,0.5,0.2,0,0.5" for k in range(5)]
+    back = returns_of(recording(tmp_path, machine, COLUMNS + ",cov_wanted_s", *rows), machine, "treatment")
+    assert back.groups == 1
+
+
+def test_few_visits_per_pose_do_not_flatter_the_scatter(tmp_path: Path) -> None:
+    machine = slide(tmp_path, "{}")
+    rng = np.random.default_rng(4)
+    rows = [f"a,{pose / 1000},,,,{pose / 1000 + x:.9f},{0.2 + y:.9f},{z:.9f}"
+            for pose in range(400) for x, y, z in rng.normal(0, 5e-5, (3, 3))]  # fmt: skip
+    again = repeatability(recording(tmp_path, machine, COLUMNS, *rows), machine, "treatment")
+    assert again["sigma_mm"] == pytest.approx([0.05, 0.05, 0.05], rel=0.05)
+
+
+# The page ------------------------------------------------------------------------------------------------------------
+
+CELL = """\
+name: cell
+gravity: [0, 0, -9.81]
+joints:
+  - name: rail
+    type: prismatic
+    axis: [1, 0, 0]
+    limits: {lower: -1, upper: 1}
+    link: {mass: 300, com: [0, 0, 0.2]}
+    elastic: {loads: [Fz, Mx, My], varies: true}
+  - name: turn
+    type: revolute
+    origin: {xyz: [0, 0, 0.5], rpy: [0, 0, 0]}
+    axis: [0, 0, 1]
+    limits: {lower: -1.5, upper: 1.5}
+    link: {mass: 100, com: [0, 0, 0.1]}
+    elastic: {loads: [Fz, Mx, My], varies: false}
+tip:
+  origin: {xyz: [0.3, 0, 0.2], rpy: [0, 0, 0]}
+  targets: {P1: [0, 0.01, 0.3], P2: [-0.26, 0.01, -0.15], P3: [0.26, 0.01, -0.15]}
+  points: {treatment: [0.5, 0, 0.2]}
+repeatability: {position: 1.0e-4}
+tracker: {position_sigma: 2.0e-5, base: {xyz: [0, 0, 0]}}
+"""
+
+
+def write_recording(
+    path: Path, machine: Machine, plant: Plant, wanted: np.ndarray, commanded: np.ndarray, rng: np.random.Generator,
+    names: list[str],
+) -> None:  # fmt: skip
+    """A recording as the runner writes one: a database when the name ends so, else a CSV."""
+    count = len(wanted)
+    loads = plant.random_loads(6, rng)
+    carried = [loads[k % 6] for k in range(count)]
+    points = plant.true_points(commanded, carried, plant.draw_repeatability(count, rng), names)
+    seen = {name: p + 2e-5 * rng.normal(size=p.shape) for name, p in points.items()}
+    wrench = plant.wrench(commanded, carried)
+    header = columns_for(machine, [], [n for n in names if n not in machine.targets],
+                         [f"wanted_{j}" for j in machine.joint_names])  # fmt: skip
+    rows = []
+    for k in range(count):
+        time = (datetime(2026, 3, 4, 6, tzinfo=UTC) + timedelta(seconds=90 * k)).isoformat()
+        q = [f"{x:.9f}" for x in commanded[k]]
+        xyz = [f"{x:.9f}" for n in names for x in seen[n][k]]
+        rows.append([time, "s", f"L{k % 6}", *q, *q, *["1"] * len(q), "5", *(f"{x:.5f}" for x in wrench[k]), *xyz,
+                     *(f"{x:.9f}" for x in wanted[k])])  # fmt: skip
+    if path.suffix == ".db":
+        meta = {"versions": json.dumps({"numpy": "2"}), "campaign_name": "<b>c"}
+        with RecordingFile.create(path, header, meta) as file:
+            file.append_rows(rows)
+        return
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+
+
+def make_folder(folder: Path) -> None:
+    """A campaign of 90 visits, identified; verification with and without compensation (of a cell whose two joints can
+    correct but a part); repeatability."""
+    (folder / "machine.yaml").write_text(CELL)
+    machine, plant = load_machine(folder / "machine.yaml"), Plant.from_file(folder / "machine.yaml", seed=3)
+    rng = np.random.default_rng(8)
+    q = np.round(plant.random_poses(90, rng), 8)
+    write_recording(folder / "campaign.csv", machine, plant, q, q, rng, list(machine.targets))
+    campaign = load_recording(folder / "campaign.csv", machine)
+    estimated = estimate(joint_model(machine, campaign, waves=4), campaign, rounds=5)
+    calibration = Calibration.of(estimated, campaign, "joint", NOW)
+    calibration.save(folder / "calibration.json")
+    names = [*machine.targets, "treatment"]
+    wanted = np.round(0.9 * plant.random_poses(40, rng), 8)
+    loads = np.random.default_rng(21)
+    write_recording(folder / "verification_nominal.db", machine, plant, wanted, wanted, loads, names)
+    loads = plant.random_loads(6, np.random.default_rng(21))
+    wrench = plant.wrench(wanted, [loads[k % 6] for k in range(40)])
+    corrected, _ = solve_pose(machine, tip_poses(machine, wanted), wanted, calibration, wrench)
+    write_recording(folder / "verification_compensated.db", machine, plant, wanted, corrected,
+                    np.random.default_rng(21), names)  # fmt: skip
+    poses = np.tile(wanted[:6], (8, 1))
+    write_recording(folder / "repeatability.db", machine, plant, poses, poses, rng, names)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    make_folder(folder)
+    build_report(folder, NOW)
+    return folder
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "copy"
+    shutil.copytree(made, folder)
+    return folder
+
+
+class Page(HTMLParser):
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+    def images(self) -> list[dict[str, str | None]]:
+        return [attrs for tag, attrs in self.tags if tag == "img"]
+
+
+def page(folder: Path) -> Page:
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+def test_the_page_needs_nothing_from_anywhere(made: Path) -> None:
+    text = (made / "report.html").read_text(encoding="utf-8")
+    seen = page(made)
+    assert not {tag for tag, _ in seen.tags} & {"script", "link", "iframe", "object", "base"}
+    for _, attrs in seen.tags:
+        assert str(attrs.get("src", "data:")).startswith("data:")
+        assert "href" not in attrs
+    assert not re.search(r"url\(|@import|@font-face", text)
+    pictures = [base64.b64decode(str(i["src"]).split(",", 1)[1]).decode() for i in seen.images()]
+    assert len(pictures) > 15
+    for svg in pictures:
+        for element in ElementTree.fromstring(svg).iter():
+            for name, value in element.attrib.items():
+                assert not name.endswith("href") or value.startswith(("#", "data:"))
+    assert len(text) < 3_000_000
+
+
+def test_every_picture_says_in_words_what_it_shows(made: Path) -> None:
+    alts = [str(image.get("alt") or "") for image in page(made).images()]
+    assert all(len(alt) > 30 for alt in alts)
+    assert len(set(alts)) == len(alts)
+    captions = [tag for tag, _ in page(made).tags if tag == "figcaption"]
+    assert len(captions) == len(alts)
+
+
+def test_the_page_states_the_figures_that_a_plain_calculation_gives(made: Path) -> None:
+    # P(treatment) of the ideal cell, by hand: (q1, 0, 0.5) + Rz(q2) ((0.3, 0, 0.2) + (0.5, 0, 0.2))
+    stated = {}
+    for case in ("nominal", "compensated"):
+        with RecordingFile.open(made / f"verification_{case}.db", readonly=True) as file:
+            header, rows = file.table()
+        values = {h: np.array([row[k] for row in rows]) for k, h in enumerate(header)}
+        q1, q2 = (values[f"cov_wanted_{j}"].astype(float) for j in ("rail", "turn"))
+        ideal = np.stack([q1 + 0.8 * np.cos(q2), 0.8 * np.sin(q2), np.full(40, 0.9)], axis=1)
+        real = np.stack([values[f"treatment_{c}"].astype(float) for c in "xyz"], axis=1)
+        size = np.sort(np.linalg.norm(real - ideal, axis=1)) * 1e3
+        stated[case] = (np.median(size), size[-1])
+    assert stated["compensated"][0] < 0.95 * stated["nominal"][0]  # or the figures below would prove little
+    words = page(made).words
+    for median, largest in stated.values():
+        assert f"{median:.3f}" in words
+        assert f"{largest:.3f}" in words
+    assert "on 40 configurations that the identification did not use" in words
+    assert "48 visits of 6 poses and loads" in words  # poses 0 … 5 carry loads 0 … 5: six groups of eight
+    assert "Not in this report" not in words
+
+
+def test_hashes_of_the_files_are_on_the_page(made: Path) -> None:
+    words = page(made).words
+    contents = read_folder(made)
+    for source in contents.sources:
+        assert source.sha256 in words
+    assert "2026-03-05 12:00 UTC" in words
+    assert "<b>c" in words  # what a file says is text, never markup
+
+
+def test_the_same_folder_gives_the_same_page(copy: Path) -> None:
+    before = (copy / "report.html").read_bytes()
+    build_report(copy, NOW)
+    assert (copy / "report.html").read_bytes() == before
+
+
+def test_a_spoiled_visit_is_marked_and_a_lost_target_too(copy: Path) -> None:
+    rows = list(csv.reader((copy / "campaign.csv").open()))
+    column = rows[0].index("P2_y")
+    rows[18][column] = str(float(rows[18][column]) + 2e-3)  # 2 mm, far beyond 0.1 mm of scatter
+    rows[31][column - 1 : column + 2] = ["", "", ""]
+    with (copy / "campaign.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    contents = read_folder(copy)
+    assert contents.calibration is not None
+    left = fit(contents.recordings["campaign"], contents.calibration)
+    assert left.outlier[17]
+    assert left.outlier.sum() <= 3
+    assert np.flatnonzero(left.lost).tolist() == [30]
+    assert any("was made from another recording" in note for note in compute(contents).notes)
+
+
+def test_figures_that_the_run_printed_are_held_against_the_recordings(copy: Path) -> None:
+    mine = compute(read_folder(copy)).accuracy
+    printed = {**mine, "compensated": {**mine["compensated"], "max_mm": 0.001}, "visits": 170, "seconds": 31.4}
+    (copy / "demo.json").write_text(json.dumps(printed))
+    notes = compute(read_folder(copy)).notes
+    assert len(notes) == 1
+    assert notes[0].startswith("demo.json says compensated max_mm = 0.001; the recording here gives")
+    contents = read_folder(copy)
+    assert ("Whole run", "170 visits, done in 31\N{NO-BREAK SPACE}s") in facts(contents, compute(contents), None)
+
+
+def test_a_run_that_left_only_its_figures_is_reported_from_them(tmp_path: Path) -> None:
+    slide(tmp_path)
+    four = {"median_mm": 4.0, "p95_mm": 7.0, "p98_6_mm": 8.0, "max_mm": 9.0}
+    small = {"median_mm": 0.1, "p95_mm": 0.3, "p98_6_mm": 0.4, "max_mm": 0.5}
+    result = {"uncompensated": four, "compensated": small, "repeatability_mm": 0.14, "note": "<script>1</script>"}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    build_report(tmp_path, NOW)
+    seen = page(tmp_path)
+    assert "from within 8.00\N{NO-BREAK SPACE}mm to within 0.400\N{NO-BREAK SPACE}mm, a factor of 20" in seen.words
+    assert "script" not in {tag for tag, _ in seen.tags}
+
+
+def test_a_campaign_that_has_just_begun_is_said_to_hold_no_visit(copy: Path) -> None:
+    (copy / "verification_compensated.db").unlink()
+    RecordingFile.create(copy / "verification_compensated.db", ["q_cmd_rail", "q_cmd_turn", "P1_x"], {}).close()
+    contents = read_folder(copy)
+    assert [(m.name, m.why) for m in contents.missing] == [("verification_compensated.db", "holds no visit yet")]
+    assert headline(contents, compute(contents)).startswith("Without compensation, 98.6 % of the errors")
+
+
+def test_a_calibration_alone_makes_a_page_that_lists_what_is_missing(copy: Path) -> None:
+    for name in ("campaign.csv", "verification_nominal.db", "verification_compensated.db", "repeatability.db"):
+        (copy / name).unlink()
+    build_report(copy, NOW)
+    words = page(copy).words
+    assert "Calibrated from 90 visits; nothing here has verified it" in words
+    assert "Geometric errors of rail: displacements" in words
+    assert words.count("not in the folder") == 4
+    assert "verification_nominal.db: not in the folder. It would show errors without compensation." in words
+
+
+def test_an_unknown_measuring_frame_is_placed_by_the_calibration(copy: Path) -> None:
+    before = compute(read_folder(copy)).errors["compensated"]
+    (copy / "machine.yaml").write_text(CELL.replace("{xyz: [0, 0, 0]}", "estimate"))
+    data = json.loads((copy / "calibration.json").read_text())
+    data["provenance"]["machine_sha256"] = load_machine(copy / "machine.yaml").sha256
+    data["measuring_in_base"][0][3] = 0.0025
+    (copy / "calibration.json").write_text(json.dumps(data))
+    numbers = compute(read_folder(copy))
+    assert numbers.errors["compensated"] - before == pytest.approx(np.tile([0.0025, 0, 0], (40, 1)), abs=1e-12)
+    assert any("leaves the measuring frame open" in note for note in numbers.notes)
+    (copy / "calibration.json").unlink()
+    missing = compute(read_folder(copy)).missing
+    assert any("there is no calibration that places it" in m.why for m in missing)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "wanted"),
+    [
+        ("calibration.json", '{"format": "ppshw cal', "not valid JSON, or cut off"),
+        ("demo.json", "[1]", "expected an object"),
+        ("repeatability.db", "SQLite format 3\x00 and no more", "not a recording"),
+        ("campaign.csv", "q_cmd_rail\n0,1\n", "2 cells"),
+    ],
+)
+def test_a_broken_file_is_refused_and_the_page_before_it_stays(copy: Path, name: str, text: str, wanted: str) -> None:
+    before = (copy / "report.html").read_bytes()
+    (copy / name).write_text(text)
+    with pytest.raises(BadInput, match=wanted) as caught:
+        build_report(copy, NOW)
+    assert "\n" not in str(caught.value)
+    assert name in str(caught.value)
+    assert (copy / "report.html").read_bytes() == before
+    assert not list(copy.glob("*.part"))
+
+
+def test_a_folder_with_nothing_to_report_on_says_what_was_expected(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"no such folder"):
+        build_report(tmp_path / "nowhere")
+    with pytest.raises(ReportError, match=r"holds no machine\.yaml"):
+        build_report(tmp_path)
+    slide(tmp_path)
+    with pytest.raises(ReportError, match=r"nothing to report on beside machine\.yaml, expected any of"):
+        build_report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
