@@ -107,6 +107,8 @@ class _Run:
                 _refuse_another_run(file, meta)
                 if self._all_done(file):
                     return self._result(file)
+        elif not self._out.parent.is_dir():
+            raise RecordingError(f"{self._out}: the folder {self._out.parent} does not exist")
         try:
             devices = self._bench.start(reset_faults)
             places = self._places()

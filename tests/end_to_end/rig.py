@@ -27,13 +27,17 @@ steps:
 class Rig:
     """A simulated positioner in this process, its site file, and a campaign of twelve visits."""
 
-    def __init__(self, folder: Path, script: str = SCRIPT, force_protocol: str = "bota") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        script: str = SCRIPT,
+        force_protocol: str = "bota",
+        machine_file: Path = ROOT / "machines/pps.yaml",
+    ) -> None:
         self.folder = folder
         self.out = folder / "small.db"
         self.clock = SteppedClock(grace=0.25)
-        self.hardware = SimulatedHardware(
-            ROOT / "machines/pps.yaml", self.clock, folder, seed=3, force_protocol=force_protocol
-        )
+        self.hardware = SimulatedHardware(machine_file, self.clock, folder, seed=3, force_protocol=force_protocol)
         self.site: Site = load_site(self.hardware.write_site(folder / "site.yaml"))
         (folder / "small.yaml").write_text(script, encoding="utf-8")
         self.plan: Plan = plan_campaign(load_script(folder / "small.yaml"), self.site.machine)

@@ -86,6 +86,19 @@ def test_the_gsv8_amplifier_measures_the_same_load(tmp_path: Path) -> None:
     assert np.linalg.norm(recording.wrench[-1, :3]) == pytest.approx(120 * 9.80665, abs=1.0)
 
 
+def test_an_arm_is_measured_by_a_tracker_that_nobody_has_located(tmp_path: Path) -> None:
+    text = (ROOT / "machines/arm6.yaml").read_text(encoding="utf-8")
+    (tmp_path / "arm.yaml").write_text(text.replace("tracker:\n", "tracker:\n  base: estimate\n"), encoding="utf-8")
+    script = "name: arm\nsteps: [{step: any, kind: random, count: 5, margin: 0.1}]\n"
+    rig = Rig(tmp_path, script, machine_file=tmp_path / "arm.yaml")
+    with rig.hardware:
+        result = rig.run()
+    assert (result.measured, result.lost_beams) == (5, 0)
+    points = load_recording(rig.out, rig.site.machine).points
+    # in whatever frame: the sides of the triangle are the machine file's, 0.38 m between P2 and P3
+    np.testing.assert_allclose(np.linalg.norm(points[:, 1] - points[:, 2], axis=1), 0.38, atol=1.5e-4)
+
+
 CHILD = """\
 import sys
 from datetime import timedelta
