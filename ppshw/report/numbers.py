@@ -15,7 +15,7 @@ from ppshw.evaluation import figures, residuals
 from ppshw.recording import Recording
 from ppshw.report.contents import RECORDINGS, Contents, Missing
 from ppshw.terms import Situation
-from ppshw.verification import Returns, point_errors, repeatability, returns_of
+from ppshw.verification import Returns, point_errors, repeatability, returns_of, wanted_joints
 
 Array = NDArray[np.float64]
 CASES = {"verification_nominal": "uncompensated", "verification_compensated": "compensated"}
@@ -31,6 +31,7 @@ CHUNK = 400  # visits linearised at once: some 30 MB of design
 class Numbers:
     """errors        case → (N, 3) at the point, base frame [m]
     accuracy      case → FIGURES with `visits`, from the recordings or else as the run printed them
+    unseen        the compensated poses are known to be none of the identification's
     returns, repeatability  of repeatability.db; None without it
     notes         sentences about what does not fit together
     missing       of what is in the folder but cannot be used for its purpose
@@ -38,6 +39,7 @@ class Numbers:
 
     errors: dict[str, Array]
     accuracy: dict[str, dict[str, float]]
+    unseen: bool
     returns: Returns | None
     repeatability: dict[str, Any] | None
     notes: tuple[str, ...]
@@ -70,9 +72,18 @@ def compute(contents: Contents) -> Numbers:
             missing.append(Missing(f"repeatability: {point}", str(why), RECORDINGS["repeatability"]))
     again = _repeatability_against_result(contents, again, notes)
     notes += _doubts(contents)
-    return Numbers(
-        errors, {k: v for k, v in accuracy.items() if v}, returns, again, tuple(notes), tuple(missing)
-    )
+    poses = {case: _poses(contents.recordings[stem]) for stem, case in CASES.items() if case in errors}
+    if len(set(poses.values())) > 1:
+        notes.append("The two verification recordings were not made at the same wanted poses: compare them roughly.")
+    campaign = contents.recordings.get("campaign")
+    unseen = campaign is not None and "compensated" in poses and not poses["compensated"] & _poses(campaign)
+    accuracy = {case: row for case, row in accuracy.items() if row}
+    return Numbers(errors, accuracy, unseen, returns, again, tuple(notes), tuple(missing))
+
+
+def _poses(recording: Recording) -> frozenset[tuple[float, ...]]:
+    """The wanted poses, to 1 µm and 1 µrad."""
+    return frozenset(tuple(pose) for pose in np.round(wanted_joints(recording), 6).tolist())
 
 
 def _against_result(contents: Contents, case: str, mine: dict[str, float], notes: list[str]) -> dict[str, float]:

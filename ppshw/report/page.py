@@ -98,7 +98,7 @@ def headline(contents: Contents, numbers: Numbers) -> str:
     if before and after and "p98_6_mm" in before and "p98_6_mm" in after:
         factor = before["p98_6_mm"] / after["p98_6_mm"] if after["p98_6_mm"] > 0 else math.inf
         visits = f" on {after['visits']:.0f} configurations" if "visits" in after else ""
-        on = f"{visits} that the identification did not use" if visits else ""
+        on = f"{visits} that the identification did not use" if visits and numbers.unseen else visits
         return (
             f"Compensation brings 98.6 % of the errors {at} from within {mm(before['p98_6_mm'])} to within "
             f"{mm(after['p98_6_mm'])}, a factor of {factor:.0f}{on}{end}"

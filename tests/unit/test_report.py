@@ -226,8 +226,7 @@ def make_folder(folder: Path) -> None:
     calibration.save(folder / "calibration.json")
     names = [*machine.targets, "treatment"]
     wanted = np.round(0.9 * plant.random_poses(40, rng), 8)
-    loads = np.random.default_rng(21)
-    write_recording(folder / "verification_nominal.db", machine, plant, wanted, wanted, loads, names)
+    write_recording(folder / "verification_nominal.db", machine, plant, wanted, wanted, np.random.default_rng(21), names)
     loads = plant.random_loads(6, np.random.default_rng(21))
     wrench = plant.wrench(wanted, [loads[k % 6] for k in range(40)])
     corrected, _ = solve_pose(machine, tip_poses(machine, wanted), wanted, calibration, wrench)
@@ -372,6 +371,20 @@ def test_a_run_that_left_only_its_figures_is_reported_from_them(tmp_path: Path) 
     seen = page(tmp_path)
     assert "from within 8.00\N{NO-BREAK SPACE}mm to within 0.400\N{NO-BREAK SPACE}mm, a factor of 20" in seen.words
     assert "script" not in {tag for tag, _ in seen.tags}
+
+
+def test_verification_at_poses_that_the_fit_knows_is_not_called_unseen(copy: Path) -> None:
+    shutil.copy(copy / "verification_nominal.db", copy / "campaign.db")  # a database goes before the CSV
+    contents = read_folder(copy)
+    numbers = compute(contents)
+    assert not numbers.unseen
+    assert "did not use" not in headline(contents, numbers)
+
+
+def test_verifications_at_different_poses_are_not_compared_in_silence(copy: Path) -> None:
+    assert not any("same wanted poses" in note for note in compute(read_folder(copy)).notes)
+    shutil.copy(copy / "repeatability.db", copy / "verification_compensated.db")
+    assert any("same wanted poses" in note for note in compute(read_folder(copy)).notes)
 
 
 def test_a_campaign_that_has_just_begun_is_said_to_hold_no_visit(copy: Path) -> None:
