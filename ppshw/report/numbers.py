@@ -109,11 +109,11 @@ def _repeatability_against_result(
     if not isinstance(printed, int | float):
         return mine
     if mine is None:
-        return {"repeatability_mm": float(printed)}
-    if abs(printed - mine["repeatability_mm"]) > ROUNDING_MM:
+        return {"p98_6_mm": float(printed)}
+    if abs(printed - mine["p98_6_mm"]) > ROUNDING_MM:
         notes.append(
             f"{contents.result_name} says repeatability_mm = {printed:.4g}; the recording here gives "
-            f"{mine['repeatability_mm']:.4g}, which is what this page shows."
+            f"{mine['p98_6_mm']:.4g}, which is what this page shows."
         )
     return mine
 

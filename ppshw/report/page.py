@@ -84,7 +84,7 @@ def render(contents: Contents, now: datetime) -> str:
         sources=contents.sources,
         devices=tables.devices(contents),
         provenance=tables.provenance(contents),
-        extra=[(k, tables.plain(v)) for k, v in contents.result.items() if k not in SHOWN],
+        extra=[(k, tables.plain(v)) for k, v in contents.result.items() if k not in SHOWN and not isinstance(v, dict)],
         result_name=contents.result_name,
     )
 
@@ -93,7 +93,7 @@ def headline(contents: Contents, numbers: Numbers) -> str:
     """One sentence with the numbers that matter, of those that there are."""
     before, after = numbers.accuracy.get("uncompensated"), numbers.accuracy.get("compensated")
     again = numbers.repeatability
-    end = f", with a repeatability of {mm(again['repeatability_mm'])}." if again else "."
+    end = f", with a repeatability of {mm(again['p98_6_mm'])}." if again else "."
     at = f"at the point ‘{contents.point}’"
     if before and after and "p98_6_mm" in before and "p98_6_mm" in after:
         factor = before["p98_6_mm"] / after["p98_6_mm"] if after["p98_6_mm"] > 0 else math.inf
@@ -108,7 +108,7 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         how = "With" if after else "Without"
         return f"{how} compensation, 98.6 % of the errors {at} are within {mm(one['p98_6_mm'])}{end}"
     if again:
-        return f"The machine comes back {at} within {mm(again['repeatability_mm'])} (98.6 % of the visits)."
+        return f"The machine comes back {at} within {mm(again['p98_6_mm'])} (98.6 % of the visits)."
     if contents.calibration is not None:
         made = contents.calibration.provenance
         return f"Calibrated from {made.get('visits_used', '?')} visits; nothing here has verified it {at} yet."
@@ -162,7 +162,7 @@ def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Se
 def _repeatability_text(again: dict[str, Any]) -> str:
     return (
         f"{again['visits']} visits of {again['poses']} poses and loads, each about the mean of its own (the paper’s "
-        f"figure 13). 98.6 % of the visits come back within {mm(again['repeatability_mm'])} of it: that is what this "
+        f"figure 13). 98.6 % of the visits come back within {mm(again['p98_6_mm'])} of it: that is what this "
         f"page calls repeatability, our definition, with deviations widened by √(n/(n−1)) for the mean’s own share. "
         f"ISO 9283’s RP = mean + 3σ of the distance, averaged over the poses, is {mm(again['rp_iso9283_mm'])}. The "
         f"tracker’s noise is part of both."

@@ -49,17 +49,17 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
     out: list[tuple[str, str]] = []
     again, result, claimed = numbers.repeatability, contents.result, contents.machine.repeatability
     if again:
-        text = f"{mm(again['repeatability_mm'])} (98.6 %)"
+        text = f"{mm(again['p98_6_mm'])} (98.6 %)"
         text += f"; ISO 9283 RP {mm(again['rp_iso9283_mm'])}" if "rp_iso9283_mm" in again else ""
         text += f"; the maker claims {mm(claimed * 1e3)}" if claimed else ""
         out.append(("Repeatability", text))
     if left is not None:
         out.append(("Outliers", f"{int(left.outlier.sum())} of {len(left.outlier)} visits of the identification"))
-    run = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
+    counts = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
+    if counts and "campaign" not in contents.recordings:
+        out.append(("Measurements", f"{', '.join(counts)}, as {contents.result_name} says"))
     if isinstance(result.get("seconds"), int | float):
-        run.append(f"done in {duration(float(result['seconds']))}")
-    if run:
-        out.append(("Whole run", ", ".join(run)))
+        out.append(("Time of the run", duration(float(result["seconds"]))))
     return out
 
 
