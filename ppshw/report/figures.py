@@ -168,11 +168,18 @@ def coverage(joint: Joint, q: Array) -> Picture:
         low, high = min(low, joint.limits.lower), max(high, joint.limits.upper)
     pad = 0.04 * (high - low) or 0.01
     with canvas(3.4, 2.5) as c:
-        c.axes.hist(q, bins=np.linspace(low, high, 31).tolist() if high > low else 1, color=AFTER, alpha=0.45)
+        bins = np.linspace(low, high, 31).tolist() if high > low else 1
+        counts, _, _ = c.axes.hist(q, bins=bins, color=AFTER, alpha=0.45)
+        filled = np.asarray(counts)[np.asarray(counts) > 0]
+        ylabel = "visits"
+        if filled.max() > 20 * np.median(filled):  # joints at home while others move would hide all else
+            c.axes.set_yscale("log")
+            c.axes.set_ylim(0.7, None)
+            ylabel = "visits (log scale)"
         if joint.limits is not None:
             for edge in (joint.limits.lower, joint.limits.upper):
                 c.axes.axvline(edge, color=INK, lw=1.0, ls="--")
-        c.axes.set(xlim=(low - pad, high + pad), xlabel=f"{joint.name} [{joint.unit}]", ylabel="visits")
+        c.axes.set(xlim=(low - pad, high + pad), xlabel=f"{joint.name} [{joint.unit}]", ylabel=ylabel)
         span = f"{q.min():.3g} to {q.max():.3g} {joint.unit}"
         alt = f"Histogram of the positions of {joint.name} over {len(q)} visits, {span}."
         return c.picture(f"Coverage of {joint.name}", alt)

@@ -67,6 +67,7 @@ def render(contents: Contents, now: datetime) -> str:
         point=contents.point,
         now=now,
         measured=_measured_span(contents),
+        sites=sorted({source.meta["site_name"] for source in contents.sources if "site_name" in source.meta}),
         headline=headline(contents, numbers),
         accuracy=numbers.accuracy,
         used=tables.measurements(contents),

@@ -23,6 +23,14 @@ NAMES = {
     "verification_compensated": "Verification, compensated",
     "repeatability": "Repeatability",
 }
+# What a recording says of how it was made: key in the file → words.
+META = {
+    "versions": "Versions",
+    "campaign_sha256": "Campaign script",
+    "setpoints": "Setpoints",
+    "site_name": "Site",
+    "site_sha256": "Site file",
+}
 
 
 def mm(value: float) -> str:
@@ -59,7 +67,7 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
     if counts and "campaign" not in contents.recordings:
         out.append(("Measurements", f"{', '.join(counts)}, as {contents.result_name} says"))
     if isinstance(result.get("seconds"), int | float):
-        out.append(("Time of the run", duration(float(result["seconds"]))))
+        out.append(("Run time", duration(float(result["seconds"]))))
     return out
 
 
@@ -115,14 +123,13 @@ def provenance(contents: Contents) -> list[tuple[str, str]]:
         ))  # fmt: skip
     shared: dict[tuple[str, str], list[str]] = {}
     for source in contents.sources:
-        for key in ("versions", "campaign_sha256", "setpoints", "site_name", "site_sha256"):
+        for key in META:
             if key in source.meta:
                 shared.setdefault((key, source.meta[key]), []).append(source.name)
     for (key, value), names in shared.items():
         if key == "versions":
             value = ", ".join(f"{k} {v}" for k, v in json.loads(value).items())  # noqa: PLW2901
-        what = key.replace("_sha256", " file").replace("_", " ").capitalize()
-        out.append((f"{what}, {', '.join(names)}", value))
+        out.append((f"{META[key]}, {', '.join(names)}", value))
     return out
 
 

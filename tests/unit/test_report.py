@@ -359,7 +359,7 @@ def test_figures_that_the_run_printed_are_held_against_the_recordings(copy: Path
     assert len(notes) == 1
     assert notes[0].startswith("demo.json says compensated max_mm = 0.001; the recording here gives")
     contents = read_folder(copy)
-    assert ("Time of the run", "31\N{NO-BREAK SPACE}s") in facts(contents, compute(contents), None)
+    assert ("Run time", "31\N{NO-BREAK SPACE}s") in facts(contents, compute(contents), None)
 
 
 def test_a_run_that_left_only_its_figures_is_reported_from_them(tmp_path: Path) -> None:
