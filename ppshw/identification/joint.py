@@ -28,8 +28,11 @@ from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-# Prior variances stay within these factors of where they start (as variances).
-SMALLEST, LARGEST = 1e-10, 1e8
+# Prior variances stay within these factors of where they start (as variances): from nothing to some 30 mm and 15 mrad.
+# Without the upper one, errors of parallel axes that cancel each other may grow to metres while noise is still unknown.
+SMALLEST, LARGEST = 1e-10, 1e3
+# The first idea of the noise is this share of what the ideal machine misses: signal is believed step by step.
+FIRST_NOISE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ def estimate(
     model, frame = _start(model, recording)
     situation = Situation.of(recording)
     group_of, names, scale, start = _groups(model)
-    state = _State(np.zeros(len(scale)), start**2, _first_noise(machine), np.ones(len(seen)), frame)
+    theta = np.zeros(len(scale))
+    gap = (to_base(recording.points, frame) - model.predict(situation, theta))[seen]
+    state = _State(theta, start**2, _first_noise(machine, gap), np.ones(len(seen)), frame)
     z = state.theta
     covariance = np.zeros((len(z), len(z)))
     for turn in range(rounds):
@@ -146,10 +151,10 @@ def _start(model: Model, recording: Recording) -> tuple[Model, Array]:
     return replace(model, machine=moved), frame
 
 
-def _first_noise(machine: Machine) -> Noise:
-    """The maker's claim, or a tenth of a millimetre, before any data were seen."""
-    claimed = (machine.repeatability or 1.4e-4) / 3
-    return Noise(np.diag([claimed**2] * 3 + [claimed**2] * 3), machine.tracker.position_sigma)
+def _first_noise(machine: Machine, gap: Array) -> Noise:
+    """Before any fit: the maker's claim, or a share of what the ideal machine misses; gap (R, 3) [m]."""
+    sigma = max((machine.repeatability or 1.4e-4) / 3, FIRST_NOISE_SHARE * float(np.sqrt((gap**2).mean())))
+    return Noise(np.diag([sigma**2] * 6), machine.tracker.position_sigma)
 
 
 def _groups(model: Model) -> tuple[NDArray[np.int64], list[str], Array, Array]:

@@ -25,7 +25,7 @@ from ppshw.identification.paper_steps import (
     paper_terms,
 )
 from ppshw.identification.pose_error import PoseErrors, pose_errors
-from ppshw.identification.redundancy import independent_columns, solver
+from ppshw.identification.redundancy import Evidence, independent_columns, solver
 from ppshw.identification.sweeps import SAME_POSITION, Sweeps, find_sweeps
 from ppshw.machine import Machine
 from ppshw.model import Model
@@ -89,7 +89,8 @@ def identify_paper(
     y, design = errors.ravel(), regression.design
     influence = design @ start  # [M_g M_c] of eq. (25)
     left = y - design @ (data @ y) - influence @ choice  # ΔX − ΔX^c
-    kept = independent_columns([influence], [left] if by_noise else None, first=by_pairs)  # flag 2
+    evidence = Evidence([left], regression.plausible) if by_noise else None
+    kept = independent_columns([influence], evidence, first=by_pairs)  # flag 2
     solve = solver(influence, kept)
     correction = solve @ left  # flag 3
     theta = data @ y + start @ (choice + correction)  # flag 4

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ppshw.identification.redundancy import independent_columns, solver
+from ppshw.identification.redundancy import PLAUSIBLE, Evidence, independent_columns, solver
 from ppshw.identification.sweeps import Configuration, Sweeps
 from ppshw.kinematics import error_jacobian, frames
 from ppshw.machine import Machine
@@ -49,8 +49,12 @@ def _interpolated(knots: tuple[float, ...]) -> Basis:
 
 def choice_names(machine: Machine, terms: Sequence[PaperTerm]) -> list[str]:
     """Of x₀, e.g. "vertical.ty(0)" or "longitudinal.C[ty,Fy](0)"."""
-    fixed = [replace(term, basis=Constant()) for term in terms]
-    return [p.name.removesuffix("[0]") + "(0)" for term in fixed for p in term.parameters(machine.frame_names)]
+    return [p.name.removesuffix("[0]") + "(0)" for t in terms for p in _fixed(t).parameters(machine.frame_names)]
+
+
+def _fixed(term: PaperTerm) -> PaperTerm:
+    """The same term as if nothing varied."""
+    return replace(term, basis=Constant())
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,7 @@ class Regression:
     at_home           (V, 6, p₀)      the same for x₀, if nothing varied: J and M_e
     elastic           (p₀,)           which choices are c(0)
     held              (P, p₀)         x₀ at every sampled position
+    plausible         (p₀,)           how large a choice may well be
     theta_at, x0_at   where each term starts
     """
 
@@ -71,6 +76,7 @@ class Regression:
     at_home: Array
     elastic: NDArray[np.bool_]
     held: Array
+    plausible: Array
     theta_at: tuple[int, ...]
     x0_at: tuple[int, ...]
 
@@ -86,7 +92,7 @@ class Regression:
             return np.asarray(jacobian[:, :, term.frame] @ term.regressors(situation, wrenches))
 
         blocks = [columns(term) for term in terms]
-        fixed = [columns(replace(term, basis=Constant())) for term in terms]
+        fixed = [columns(_fixed(term)) for term in terms]
         widths, choices = [b.shape[2] for b in blocks], [f.shape[2] for f in fixed]
         held = np.zeros((sum(widths), sum(choices)))
         theta_at, x0_at = np.cumsum([0, *widths[:-1]]), np.cumsum([0, *choices[:-1]])
@@ -99,9 +105,17 @@ class Regression:
             np.concatenate(fixed, axis=2),
             np.repeat([isinstance(t, Compliance) for t in terms], choices),
             held,
+            PLAUSIBLE * np.array([p.start for t in terms for p in _fixed(t).parameters(machine.frame_names)]),
             tuple(theta_at.tolist()),
             tuple(x0_at.tolist()),
         )
+
+    def rows_at(self, k: int, position: float) -> NDArray[np.int64]:
+        """Where the parameters of term k at a sampled position stand in θ."""
+        term = self.terms[k]
+        assert isinstance(term.basis, Interpolated)
+        elements = len(term.elements) if isinstance(term, Compliance) else 6
+        return self.theta_at[k] + np.arange(elements) * term.basis.size + term.basis.knots.index(position)
 
 
 def differences(values: Array) -> Array:
@@ -136,7 +150,7 @@ def from_weight_pairs(
         return x0, []
     system = np.concatenate([differences(regression.at_home[c.visits][:, :, elastic]) for c in places])
     given = np.concatenate([differences(y[c.visits, :, None])[:, 0] for c in places])
-    kept = independent_columns([system], [given] if by_noise else None)
+    kept = independent_columns([system], Evidence([given], regression.plausible[elastic]) if by_noise else None)
     x0[elastic] = solver(system, kept) @ given
     return x0, [int(elastic[k]) for k in kept]
 
@@ -154,11 +168,19 @@ def linear_process(
         if not isinstance(term.basis, Interpolated):
             continue
         if isinstance(term, Compliance):
-            own = regression.at_home[:, :, regression.x0_at[k] :][:, :, : len(term.elements)]
-            data = elastic if by_noise else None
-            _compliance_steps(varied, regression.theta_at[k], term, term.basis, own, data, sweeps)
+            own = slice(regression.x0_at[k], regression.x0_at[k] + len(term.elements))
+            places = [c for c in sweeps.of_joint(term.frame - 1) if c.paired]
+            designs = [differences(regression.at_home[c.visits, :, own]) for c in places]
+            given = [differences(elastic[c.visits, :, None])[:, 0] for c in places]
+            kept = independent_columns(designs, Evidence(given, regression.plausible[own]) if by_noise else None)
+            for place, d in zip(places, designs, strict=True):  # (20): DΔX − DM_e c(0) = DM_ei Δc_i
+                rows = regression.rows_at(k, float(place.q[term.frame - 1]))
+                varied.add(rows, place.visits, solver(d, kept))
         else:
-            _geometric_steps(moved, regression.theta_at[k], term, term.basis, regression.jacobian, sweeps)
+            for place in sweeps.of_joint(term.frame - 1):  # (23), mean over the visits
+                inverse = np.linalg.inv(regression.jacobian[place.visits, :, term.frame]) / len(place.visits)
+                rows = regression.rows_at(k, float(place.q[term.frame - 1]))
+                moved.add(rows, place.visits, np.moveaxis(inverse, 0, 1).reshape(6, -1))
     pull, push = varied.matrix(), moved.matrix()
     at_home = regression.at_home.reshape(-1, len(x0))
     held_c, held_g = regression.held * regression.elastic, regression.held * ~regression.elastic
@@ -168,40 +190,6 @@ def linear_process(
     start_c = held_c - pull @ (at_home * regression.elastic)
     start_g = held_g - push @ (bending @ start_c + at_home * ~regression.elastic)
     return sparse.csr_array(pull + push - push @ (bending @ pull)), start_c + start_g
-
-
-def _compliance_steps(
-    operator: _Operator,
-    first: int,
-    term: Compliance,
-    basis: Interpolated,
-    m_e: Array,
-    data: Array | None,
-    sweeps: Sweeps,
-) -> None:
-    """DΔX − DM_e c(0) = DM_ei Δc_i at every position of a joint whose compliance varies   (eq. 20).
-
-    m_e (V, 6, e) ∂ΔX/∂c_i;  data (V, 6) the left-hand side, None: keep all that is not redundant in principle
-    """
-    joint = term.frame - 1
-    places = [c for c in sweeps.of_joint(joint) if c.paired]
-    designs = [differences(m_e[c.visits]) for c in places]
-    given = None if data is None else [differences(data[c.visits, :, None])[:, 0] for c in places]
-    kept = independent_columns(designs, given)
-    for place, design in zip(places, designs, strict=True):
-        rows = first + np.arange(len(term.elements)) * basis.size + basis.knots.index(float(place.q[joint]))
-        operator.add(rows, place.visits, solver(design, kept))
-
-
-def _geometric_steps(
-    operator: _Operator, first: int, term: Geometric, basis: Interpolated, jacobian: Array, sweeps: Sweeps
-) -> None:
-    """Δε_gi = J_i⁻¹ (ΔX − M_e c − J ε_g(0)), mean over the visits at each position   (eq. 23)."""
-    joint = term.frame - 1
-    for place in sweeps.of_joint(joint):
-        rows = first + np.arange(6) * basis.size + basis.knots.index(float(place.q[joint]))
-        inverse = np.linalg.inv(jacobian[place.visits, :, term.frame]) / len(place.visits)
-        operator.add(rows, place.visits, np.moveaxis(inverse, 0, 1).reshape(6, -1))
 
 
 class _Operator:
