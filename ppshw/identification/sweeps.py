@@ -19,8 +19,10 @@ Indices = NDArray[np.int64]
 # Setpoints closer than this are one position [m, rad]. Setpoints of a campaign are equal to the last bit; encoder
 # positions, where a file holds nothing else, scatter by some micrometres.
 SAME_POSITION = 5e-5
-# Loads differ when force or moment do by this share of the greatest in the recording: well above the sensor's noise.
+# Loads differ when force or moment do by this share of the greatest in the recording, or by a kilogram a foot away
+# where all are small: guesses, well above a sensor's noise.
 OTHER_LOAD = 0.03
+LEAST_LOAD = (10.0, 3.0)  # [N, N·m]
 ADVICE = "the paper's method needs its campaign (`ppshw plan paper`); `--method joint` works on any recording"
 
 
@@ -67,8 +69,8 @@ def find_sweeps(machine: Machine, recording: Recording, same_position: float = S
     if away.any(axis=1).all():
         raise IdentificationFailed(f"{recording.source}: no visit with all joints at home together; {ADVICE}")
     which = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-    force, moment = (float(np.abs(recording.wrench[:, part]).max()) for part in (slice(0, 3), slice(3, 6)))
-    step = OTHER_LOAD * np.repeat([force, moment], 3)
+    greatest = [float(np.abs(recording.wrench[:, part]).max()) for part in (slice(0, 3), slice(3, 6))]
+    step = np.repeat(np.maximum(OTHER_LOAD * np.array(greatest), LEAST_LOAD), 3)
     found = []
     for label in range(which.max() + 1):
         visits = np.flatnonzero(which == label)
