@@ -11,7 +11,9 @@ from ppshw.recording import Recording
 METHODS = ("joint", "paper")
 
 
-def identify(machine: Machine, recording: Recording, method: str = "joint", progress: Progress | None = None) -> Estimate:
+def identify(
+    machine: Machine, recording: Recording, method: str = "joint", progress: Progress | None = None
+) -> Estimate:
     """Identify model (17) by one of METHODS. Raises IdentificationFailed when the recording does not allow it."""
     if method == "paper":
         return identify_paper(machine, recording)

@@ -4,12 +4,13 @@
 
 Λ has one variance per group of parameters. Variances follow MacKay's fixed point of the marginal likelihood (MacKay
 1992, Bayesian interpolation), noise follows its expectation-maximisation step (Dempster et al. 1977); around both, X is
-rebuilt with the exact product until the prediction stands still. docs/derivations.md §5.
+rebuilt with the exact product until the prediction stands still. Groups that the data drive to nothing are left out of
+the sums. Visits pass in blocks, so that memory does not grow with their number. docs/derivations.md §5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,21 +19,26 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.stats import chi2
 
 from ppshw.errors import IdentificationFailed
-from ppshw.identification.noise import Noise, pose_rank
+from ppshw.identification.noise import Noise, NoiseUpdate
 from ppshw.identification.start import align, fold, to_base
-from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 # Prior variances stay within these factors of where they start (as variances): from nothing to some 30 mm and 15 mrad.
 # Without the upper one, errors of parallel axes that cancel each other may grow to metres while noise is still unknown.
 SMALLEST, LARGEST = 1e-10, 1e3
 # The first idea of the noise is this share of what the ideal machine misses: signal is believed step by step.
 FIRST_NOISE_SHARE = 0.2
+# A group whose prior moves the targets by less than this share of the noise (rms) is left out.
+NEGLIGIBLE = 0.01
+BLOCK = 512
+# Designs of a recording up to this many numbers (0.4 GB) are kept between passes; beyond, they are made again.
+KEPT = 5e7
 
 
 @dataclass(frozen=True)
@@ -62,32 +68,61 @@ class _State:
     noise: Noise
     weights: Array
     frame: Array
+    active: Mask  # per parameter
 
 
-class _System:
-    """One linearisation: whitened design and data of all visits, and the normal equations."""
+@dataclass(frozen=True)
+class Block:
+    """Some visits, linearised: rows (n, 3T), design (n, 3T, p) of the active parameters, data y + Xθ₀, levers."""
 
-    def __init__(self, model: Model, situation: Situation, measured: Array, seen: NDArray[np.bool_], state: _State):
-        lin = model.linearise(situation, state.theta)
-        count, size = seen.shape
-        self.rows = np.repeat(seen, 3, axis=1)
-        self.design = lin.design.reshape(count, 3 * size, -1) * self.rows[..., None]
-        gap = np.where(seen[..., None], measured - lin.positions, 0.0).reshape(count, -1)
-        self.data = gap + self.design @ state.theta
-        self.levers = lin.levers
-        self.seen = seen
-        self.covariance = state.noise.covariance(lin.levers, seen, state.weights)
-        lower = np.linalg.cholesky(self.covariance)
-        stacked = np.concatenate([self.design, self.data[..., None]], axis=2)
-        white = np.linalg.solve(lower, stacked).reshape(count * 3 * size, -1)
-        gram = white.T @ white
-        self.gram, self.moment, self.power = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
+    visits: slice
+    seen: Mask
+    rows: Mask
+    design: Array
+    data: Array
+    levers: Array
+
+
+class _Blocks:
+    """All visits about one θ₀, block by block; kept in memory where they fit."""
+
+    def __init__(self, model: Model, recording: Recording, state: _State) -> None:
+        self._model, self._recording = model, recording
+        self._theta, self._active, self._frame = state.theta.copy(), state.active.copy(), state.frame
+        numbers = recording.points.size * int(state.active.sum())
+        self._kept: list[Block] | None = list(self._make()) if numbers <= KEPT else None
+
+    def __iter__(self) -> Iterator[Block]:
+        return iter(self._kept) if self._kept is not None else self._make()
+
+    def _make(self) -> Iterator[Block]:
+        for start in range(0, len(self._recording), BLOCK):
+            visits = slice(start, min(start + BLOCK, len(self._recording)))
+            part = self._recording.subset(np.arange(visits.start, visits.stop))
+            seen = part.seen
+            lin = self._model.linearise(Situation.of(part), self._theta)
+            rows = np.repeat(seen, 3, axis=1)
+            design = lin.design.reshape(len(seen), rows.shape[1], -1)[:, :, self._active] * rows[..., None]
+            gap = np.where(seen[..., None], to_base(part.points, self._frame) - lin.positions, 0.0)
+            data = gap.reshape(len(seen), -1) + design @ self._theta[self._active]
+            yield Block(visits, seen, rows, design, data, lin.levers)
+
+    def normal_equations(self, noise: Noise, weights: Array) -> tuple[Array, Array]:
+        """XᵀR⁻¹X and XᵀR⁻¹y over the active parameters."""
+        size = int(self._active.sum()) + 1
+        gram = np.zeros((size, size))
+        for block in self:
+            root = np.linalg.inv(np.linalg.cholesky(noise.covariance(block.levers, block.seen, weights[block.visits])))
+            white = root @ np.concatenate([block.design, block.data[..., None]], axis=2)
+            flat = white.reshape(-1, size)
+            gram += flat.T @ flat
+        return gram[:-1, :-1], gram[:-1, -1]
 
 
 def estimate(
     model: Model,
     recording: Recording,
-    rounds: int = 12,
+    rounds: int = 14,
     progress: Progress | None = None,
 ) -> Estimate:
     """Identify a model from any recording: any poses, loads, targets; missing targets; position only.
@@ -95,51 +130,60 @@ def estimate(
     Raises IdentificationFailed when no visit has a target.
     """
     machine = model.machine
-    seen = recording.seen
-    if not seen.any():
+    used = np.asarray(recording.seen.any(axis=1))
+    if not used.any():
         raise IdentificationFailed(f"{recording.source}: every target of every visit was lost")
-    used = np.asarray(seen.any(axis=1))
-    recording, seen = recording.subset(used), seen[used]
+    recording = recording.subset(used)
     model, frame = _start(model, recording)
-    situation = Situation.of(recording)
-    group_of, names, scale, start = _groups(model)
-    theta = np.zeros(len(scale))
-    gap = (to_base(recording.points, frame) - model.predict(situation, theta))[seen]
-    state = _State(theta, start**2, _first_noise(machine, gap), np.ones(len(seen)), frame)
-    z = state.theta
-    covariance = np.zeros((len(z), len(z)))
+    groups = _Groups(model)
+    state = _first_state(model, recording, groups, frame)
+    inverse = np.zeros((0, 0))
     for turn in range(rounds):
         if progress:
             progress(turn, rounds)
-        measured = to_base(recording.points, state.frame)
-        system = _System(model, situation, measured, seen, state)
         settled = turn >= 2
-        before = system.design @ state.theta
-        for _ in range(8 if settled else 4):
-            prior = scale * np.sqrt(state.variances[group_of])
-            z, zz = _solve(system.gram, system.moment, prior)
-            _update_variances(state, z, np.diag(zz), group_of, start)
-        prior = scale * np.sqrt(state.variances[group_of])
-        z, zz = _solve(system.gram, system.moment, prior)
-        state.theta, covariance = prior * z, prior[:, None] * zz * prior
-        old_noise = state.noise
-        residual = system.data - system.design @ state.theta
-        spread = system.design @ covariance @ np.swapaxes(system.design, 1, 2)
-        state.noise = _update_noise(state, system, residual, spread) if settled else _moments(state, system, residual)
+        blocks = _Blocks(model, recording, state)
+        gram, moment = blocks.normal_equations(state.noise, state.weights)
+        before = state.theta
+        theta, inverse = _strengths(gram, moment, groups, state, 6 if settled else 4)
+        state.theta = np.zeros_like(before)
+        state.theta[state.active] = theta
+        previous = state.noise
+        update = NoiseUpdate(previous, recording.seen, settled)
+        distance = np.zeros(len(recording))
+        moved = 0.0
+        for block in blocks:
+            residual = block.data - block.design @ theta
+            spread = block.design @ inverse @ np.swapaxes(block.design, 1, 2)
+            weights = state.weights[block.visits]
+            update.add(block.levers, block.seen, residual, spread, weights)
+            distance[block.visits] = _distance(previous, block, residual, spread)
+            step = block.design @ (state.theta - before)[state.active]
+            moved = max(moved, float(np.abs(step).max()))
+        state.noise = update.result()
         if settled:
-            state.weights = _believe(system, residual, spread, state.weights)
-        moved = np.abs((system.design @ state.theta - before)[system.rows]).max()
-        steady = np.allclose(old_noise.pose, state.noise.pose, rtol=0.03, atol=1e-3 * np.abs(state.noise.pose).max())
+            limit = chi2.ppf(0.999, 3 * recording.seen.sum(axis=1))
+            state.weights = np.minimum(1.0, limit / np.maximum(distance, 1e-12))
+        last = settled and moved < 2e-6 and previous.close_to(state.noise)
+        if not last:
+            _leave_out(gram, groups, state)
         if machine.tracker.base is None:
             state.theta, state.frame = _fold_base(model, state.theta, state.frame)
-        if settled and moved < 2e-6 and steady:
+        if last:
             break
     if progress:
         progress(rounds, rounds)
+    return _answer(model, groups, state, inverse, used)
+
+
+def _answer(model: Model, groups: _Groups, state: _State, inverse: Array, used: Mask) -> Estimate:
+    covariance = np.diag(groups.scale**2 * state.variances[groups.of])
+    kept = np.flatnonzero(state.active) if len(inverse) == state.active.sum() else np.arange(len(inverse))
+    covariance[np.ix_(kept, kept)] = inverse
     weights = np.zeros(len(used))
     weights[used] = state.weights
-    groups = dict(zip(names, np.sqrt(state.variances).tolist(), strict=True))
-    return Estimate(model, state.theta, covariance, groups, state.noise, state.frame, weights)
+    strengths = dict(zip(groups.names, np.sqrt(state.variances).tolist(), strict=True))
+    return Estimate(model, state.theta, covariance, strengths, state.noise, state.frame, weights)
 
 
 def _start(model: Model, recording: Recording) -> tuple[Model, Array]:
@@ -151,21 +195,40 @@ def _start(model: Model, recording: Recording) -> tuple[Model, Array]:
     return replace(model, machine=moved), frame
 
 
-def _first_noise(machine: Machine, gap: Array) -> Noise:
-    """Before any fit: the maker's claim, or a share of what the ideal machine misses; gap (R, 3) [m]."""
+def _first_state(model: Model, recording: Recording, groups: _Groups, frame: Array) -> _State:
+    """Before any fit: the noise is the maker's claim, or a share of what the ideal machine misses."""
+    machine = model.machine
+    theta = np.zeros(len(groups.scale))
+    gap = (to_base(recording.points, frame) - model.predict(Situation.of(recording), theta))[recording.seen]
     sigma = max((machine.repeatability or 1.4e-4) / 3, FIRST_NOISE_SHARE * float(np.sqrt((gap**2).mean())))
-    return Noise(np.diag([sigma**2] * 6), machine.tracker.position_sigma)
+    noise = Noise(np.diag([sigma**2] * 6), machine.tracker.position_sigma)
+    everything = np.ones(len(theta), dtype=bool)
+    return _State(theta, groups.start**2, noise, np.ones(len(recording)), frame, everything)
 
 
-def _groups(model: Model) -> tuple[NDArray[np.int64], list[str], Array, Array]:
-    parameters = model.parameters()
-    names = list(dict.fromkeys(p.group for p in parameters))
-    group_of = np.array([names.index(p.group) for p in parameters])
-    scale = np.array([p.scale for p in parameters])
-    start = np.zeros(len(names))
-    for p in parameters:
-        start[names.index(p.group)] = p.start
-    return group_of, names, scale, start
+class _Groups:
+    """Which parameters share a prior variance: of (p,) index, scale (p,), and per group name and start."""
+
+    def __init__(self, model: Model) -> None:
+        parameters = model.parameters()
+        self.names = list(dict.fromkeys(p.group for p in parameters))
+        index = {name: k for k, name in enumerate(self.names)}
+        self.of = np.array([index[p.group] for p in parameters])
+        self.scale = np.array([p.scale for p in parameters])
+        self.start = np.zeros(len(self.names))
+        for p in parameters:
+            self.start[index[p.group]] = p.start
+
+
+def _strengths(gram: Array, moment: Array, groups: _Groups, state: _State, steps: int) -> tuple[Array, Array]:
+    """Prior variances by their fixed point; returns posterior mean and covariance of the active parameters."""
+    of, scale = groups.of[state.active], groups.scale[state.active]
+    for step in range(steps + 1):
+        prior = scale * np.sqrt(state.variances[of])
+        z, zz = _solve(gram, moment, prior)
+        if step < steps:
+            _update_variances(state, z, np.diag(zz), of, groups.start)
+    return prior * z, prior[:, None] * zz * prior
 
 
 def _solve(gram: Array, moment: Array, prior: Array) -> tuple[Array, Array]:
@@ -180,86 +243,38 @@ def _solve(gram: Array, moment: Array, prior: Array) -> tuple[Array, Array]:
     return mean, np.tril(inverse) + np.tril(inverse, -1).T
 
 
-def _update_variances(state: _State, z: Array, zz: Array, group_of: NDArray[np.int64], start: Array) -> None:
+def _update_variances(state: _State, z: Array, zz: Array, of: NDArray[np.int64], start: Array) -> None:
     """MacKay's step where the data speak, the slower EM step where they hardly do."""
     count = len(start)
-    size = np.bincount(group_of, minlength=count)
-    square = np.bincount(group_of, z**2, minlength=count)
-    spread = np.bincount(group_of, zz, minlength=count)
+    size = np.bincount(of, minlength=count)
+    square = np.bincount(of, z**2, minlength=count)
+    spread = np.bincount(of, zz, minlength=count)
     effective = size - spread
     fast = square / np.maximum(effective, 1e-12)
-    slow = (square + spread) / size
+    slow = (square + spread) / np.maximum(size, 1)
     factor = np.where(effective > 0.05 * size, fast, slow)
-    state.variances = np.clip(
-        state.variances * np.clip(factor, 0.03, 30.0), SMALLEST * start**2, LARGEST * start**2
-    )
+    changed = np.clip(state.variances * np.clip(factor, 0.03, 30.0), SMALLEST * start**2, LARGEST * start**2)
+    state.variances = np.where(size > 0, changed, state.variances)
 
 
-def _moments(state: _State, system: _System, residual: Array) -> Noise:
-    """A first idea of the noise from the residuals' moments: what targets of a visit share, and what they do not.
+def _leave_out(gram: Array, groups: _Groups, state: _State) -> None:
+    """Groups whose prior could hardly be seen through the noise, summed over all visits, are left out for good.
 
-    With fewer than three targets the two cannot be told apart: the instrument keeps its stated noise (or all that there
-    is, where that is less) and the pose takes the rest.
+    diag(gram)·prior² is the squared size, in units of the noise, that a parameter may have over the whole recording.
     """
-    seen = system.seen.all(axis=1) if system.seen.all(axis=1).any() else system.seen.any(axis=1)
-    rank = pose_rank(int(system.seen.sum(axis=1).max()))
-    b = (system.levers.reshape(*system.rows.shape, 6) * system.rows[..., None])[seen][:, :, :rank]
-    inverse = np.linalg.pinv(b)
-    u = np.einsum("nki,ni->nk", inverse, residual[seen])
-    # the middle of the squares, so that a gross outlier does not shape the first guess
-    size = np.einsum("nk,kl,nl->n", u, np.linalg.pinv(u.T @ u / len(u)), u)
-    core = size <= np.quantile(size, 0.95)
-    shared = u[core].T @ u[core] / core.sum()
-    instrument = state.noise.instrument
-    freedom = b.shape[1] - rank
-    if freedom > 0:
-        rest = residual[seen] - np.einsum("nik,nk->ni", b, u)
-        instrument = float(np.sqrt(np.median((rest**2).sum(axis=1)) / freedom))
-    else:
-        instrument = min(instrument, float(np.sqrt(np.linalg.eigvalsh(shared)[0])))
-    shared = shared - instrument**2 * np.mean(inverse @ np.swapaxes(inverse, 1, 2), axis=0)
-    values, vectors = np.linalg.eigh(shared)
-    values = np.maximum(values, 0.01 * instrument**2)
-    pose = np.zeros((6, 6))
-    pose[:rank, :rank] = (vectors * values) @ vectors.T
-    return Noise(pose, instrument)
+    size = np.zeros(len(state.active))
+    size[state.active] = np.diag(gram)
+    seen = np.bincount(groups.of, size * groups.scale**2 * state.variances[groups.of], minlength=len(groups.names))
+    silent = seen < NEGLIGIBLE
+    state.active = state.active & ~silent[groups.of]
+    state.theta = np.where(state.active, state.theta, 0.0)
 
 
-def _update_noise(state: _State, system: _System, residual: Array, spread: Array) -> Noise:
-    """Expectation-maximisation for the pose covariance and the instrument's noise, ten steps at fixed θ."""
-    noise = state.noise
-    count, width = system.rows.shape
-    rank = pose_rank(int(system.seen.sum(axis=1).max()))
-    b = system.levers.reshape(count, width, 6) * system.rows[..., None]
-    if rank < 6:
-        b = b * (np.arange(6) < 3)
-    both = system.rows[:, :, None] & system.rows[:, None, :]
-    second = state.weights[:, None, None] * (residual[:, :, None] * residual[:, None, :] + spread)
-    ones = np.ones(count)
-    readings = system.rows.sum()
-    for _ in range(10):
-        covariance = noise.covariance(system.levers, system.seen, ones)
-        precision = np.linalg.inv(covariance)
-        gain = noise.pose @ np.swapaxes(b, 1, 2) @ precision  # (N, 6, 3T)
-        excess = second - covariance * both
-        pose = noise.pose + (gain @ excess @ np.swapaxes(gain, 1, 2)).mean(axis=0)
-        sigma2 = noise.instrument**2
-        if rank == 6:
-            change = precision @ excess @ precision * sigma2**2
-            mass = np.trace(change * system.rows[:, :, None], axis1=1, axis2=2).sum() / readings
-            sigma2 = float(np.clip(sigma2 + mass, (0.2 * noise.instrument) ** 2, (5 * noise.instrument) ** 2))
-        noise = Noise(0.5 * (pose + pose.T), float(np.sqrt(sigma2)))
-    return noise
-
-
-def _believe(system: _System, residual: Array, spread: Array, weights: Array) -> Array:
-    """Weights of visits: 1 up to the 99.9 % quantile of χ², falling with the squared distance beyond it."""
-    unweighted = system.covariance * weights[:, None, None] + spread
-    k = np.arange(system.rows.shape[1])
-    unweighted[:, k, k] += np.where(system.rows, 0.0, 1.0)
-    distance = np.einsum("ni,ni->n", residual, np.linalg.solve(unweighted, residual[..., None])[..., 0])
-    limit = chi2.ppf(0.999, system.rows.sum(axis=1))
-    return np.asarray(np.minimum(1.0, limit / np.maximum(distance, 1e-12)))
+def _distance(noise: Noise, block: Block, residual: Array, spread: Array) -> Array:
+    """Squared Mahalanobis distance of every visit, the model's own uncertainty included."""
+    ones = np.ones(len(residual))
+    whole = noise.covariance(block.levers, block.seen, ones) + spread
+    return np.asarray(np.einsum("ni,ni->n", residual, np.linalg.solve(whole, residual[..., None])[..., 0]))
 
 
 def _fold_base(model: Model, theta: Array, frame: Array) -> tuple[Array, Array]:
@@ -274,5 +289,3 @@ def _fold_base(model: Model, theta: Array, frame: Array) -> tuple[Array, Array]:
             return theta, fold(frame, from_xyz_rpy(error[:3], error[3:]))
         at += size
     return theta, frame
-
-
