@@ -154,7 +154,8 @@ def estimate(
         moved = 0.0
         for block in blocks:
             residual = block.data - block.design @ theta
-            spread = block.design @ inverse @ np.swapaxes(block.design, 1, 2)
+            half = (block.design.reshape(-1, len(inverse)) @ inverse).reshape(block.design.shape)
+            spread = half @ np.swapaxes(block.design, 1, 2)
             weights = state.weights[block.visits]
             update.add(block.levers, block.seen, residual, spread, weights)
             distance[block.visits] = _distance(previous, block, residual, spread)

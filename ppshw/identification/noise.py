@@ -98,7 +98,7 @@ class NoiseUpdate:
 
 
 def _expect(noise: Noise, levers: Array, seen: Mask, second: Array, rank: int) -> tuple[Array, float]:
-    """One E step over a block: what its residuals add to the pose covariance and to the instrument's variance (sums)."""
+    """One E step over a block: what its residuals add to the pose covariance and the instrument's variance (sums)."""
     rows = np.repeat(seen, 3, axis=1)
     b = levers.reshape(*rows.shape, 6) * rows[..., None]
     if rank < 6:
