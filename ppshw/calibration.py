@@ -7,6 +7,7 @@ another machine than the one it was made for.
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import zlib
@@ -100,8 +101,10 @@ class Calibration:
         path = Path(path)
         if not path.parent.is_dir():
             raise CalibrationError(f"{path}: the folder {path.parent} does not exist")
+        content = self._as_dict()
+        content["content_sha256"] = content_digest(content)
         partial = path.with_name(path.name + ".part")
-        partial.write_text(json.dumps(self._as_dict(), indent=1), encoding="utf-8")
+        partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
         os.replace(partial, path)
 
     def _as_dict(self) -> dict[str, Any]:
@@ -145,9 +148,11 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such calibration") from None
+    except IsADirectoryError:
+        raise CalibrationError(f"{path}: a folder, expected a calibration") from None
     except (UnicodeDecodeError, OSError) as exc:
         raise CalibrationError(f"{path}: cannot be read as UTF-8 text ({exc})") from None
-    except json.JSONDecodeError as exc:
+    except (ValueError, RecursionError) as exc:
         cut = "the file is empty" if path.stat().st_size == 0 else f"not valid JSON, or cut off ({exc})"
         raise CalibrationError(f"{path}: {cut}") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -160,9 +165,12 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
                 f"{path}: made for machine '{made_for}' (file {made_from[:12]}), "
                 f"not for '{machine.name}' ({machine.file}, {machine.sha256[:12]})"
             )
+        if data.get("content_sha256") != content_digest(data):
+            raise ValueError("the content does not match its content_sha256; was it edited by hand?")
         calibration = _from_dict(data, machine)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, zlib.error) as exc:
-        raise CalibrationError(f"{path}: damaged: {type(exc).__name__} {exc}") from None
+        what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
+        raise CalibrationError(f"{path}: damaged: {what}") from None
     numbers = (calibration.theta, calibration.covariance, calibration.measuring_in_base)
     if not all(np.isfinite(a).all() for a in numbers):
         raise CalibrationError(f"{path}: damaged: holds values that are not finite numbers")
@@ -199,6 +207,12 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         data["sampled"],
         data["provenance"],
     )
+
+
+def content_digest(content: dict[str, Any]) -> str:
+    """Of what the file says, however it is laid out: axes move by these numbers, so no digit may change unseen."""
+    rest = {key: value for key, value in content.items() if key != "content_sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _pack(covariance: Array) -> dict[str, Any]:

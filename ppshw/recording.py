@@ -26,23 +26,23 @@ from ppshw.recording_file import RecordingFile, is_sqlite
 Array = NDArray[np.float64]
 # A setpoint may stand this far outside its limit before it counts: the text of a file has few decimals.
 LIMIT_ROUNDING = 1e-6
+# No instrument says more than this in any of its units; beyond, it is a damaged cell whose square would overflow.
+LARGEST = 1e9
 
 
 @dataclass(frozen=True)
 class Table:
-    """The recording as text: header, rows and where each row stood (for messages)."""
+    """The recording as text: header, rows, where each row stood (for messages), the machine's name where it is said."""
 
     source: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
+    machine_name: str = ""
 
     def csv_text(self) -> str:
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(self.header)
-        writer.writerows(self.rows)
-        return out.getvalue()
+        """The canonical CSV: commas, line feeds, quotes only where a cell needs them."""
+        return "".join(",".join(map(_quoted, row)) + "\n" for row in (self.header, *self.rows))
 
 
 @dataclass(frozen=True)
@@ -121,25 +121,34 @@ def columns_for(
     return out
 
 
+def _quoted(cell: str) -> str:
+    # csv.writer leaves a lone carriage return bare, which csv.reader then takes for the end of the row
+    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in '",\r\n') else cell
+
+
 def read_table(path: Path | str) -> Table:
     """The texts of a recording, either form. Raises RecordingError on a missing, empty or broken file."""
     path = Path(path)
     if not path.is_file():
-        raise RecordingError(f"{path}: no such recording")
+        raise RecordingError(f"{path}: {'a folder, expected a recording' if path.is_dir() else 'no such recording'}")
     if path.stat().st_size == 0:
         raise RecordingError(f"{path}: the file is empty")
     if is_sqlite(path):
         with RecordingFile.open(path, readonly=True) as file:
             header, rows = file.table()
+            machine_name = file.meta().get("machine_name", "")
         if not rows:
             raise RecordingError(f"{path}: the recording holds no visit yet")
-        return Table(str(path), header, rows, tuple(range(1, len(rows) + 1)))
+        return Table(str(path), header, rows, tuple(range(1, len(rows) + 1)), machine_name)
     return _read_csv(path)
 
 
 def load_recording(path: Path | str, machine: Machine) -> Recording:
     """Read and check a recording. Raises RecordingError naming file, line and column."""
-    return parse_table(read_table(path), machine)
+    table = read_table(path)
+    if table.machine_name not in ("", machine.name):
+        raise RecordingError(f"{path}: measured on machine '{table.machine_name}', not on '{machine.name}'")
+    return parse_table(table, machine)
 
 
 def parse_table(table: Table, machine: Machine) -> Recording:
@@ -161,6 +170,10 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     if not any(f"{t}_x" in cells for t in machine.targets):
         first = next(iter(machine.targets))
         raise RecordingError(f"{table.source}: no column for any target of the machine, expected e.g. {first}_x")
+    extra_points = {p: cells.point(p) for p in machine.points if f"{p}_x" in cells}
+    if not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
+        names = ", ".join(machine.targets)
+        raise RecordingError(f"{table.source}: not one target was measured: every cell of {names} is empty")
     has_wrench = any(c in cells for c in WRENCH_COMPONENTS)
     wrench = np.zeros((len(table.rows), 6))
     if has_wrench:
@@ -180,10 +193,10 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         settle_s=cells.numbers("settle_s", fallback=unknown) if "settle_s" in cells else unknown,
         wrench=wrench,
         points=points,
-        extra_points={p: cells.point(p) for p in machine.points if f"{p}_x" in cells},
-        temperatures={n[5:-2]: cells.numbers(n, fallback=unknown) for n in table.header
+        extra_points=extra_points,
+        temperatures={n[5:-2]: cells.numbers(n, fallback=unknown) for n in cells.names
                       if n.startswith("temp_") and n.endswith("_C")},
-        covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in table.header if n.startswith("cov_")},
+        covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
         has_approach=has_approach,
         has_wrench=has_wrench,
         source=table.source,
@@ -205,7 +218,8 @@ class _Cells:
 
     def __init__(self, table: Table) -> None:
         self._table = table
-        self._index = {name: k for k, name in enumerate(table.header)}
+        self.names = [name.strip() for name in table.header]
+        self._index = {name: k for k, name in enumerate(self.names)}
 
     def __contains__(self, name: str) -> bool:
         return name in self._index
@@ -227,9 +241,9 @@ class _Cells:
             if not text and fallback is not None:
                 out[row] = fallback[row]
                 continue
-            out[row] = self._convert(row, name, text, float, "a number")
-            if not math.isfinite(out[row]):
-                self.fail(row, name, f"'{text}' is no finite number")
+            out[row] = self._convert(row, name, text, _number, "a number")
+            if not abs(out[row]) <= LARGEST:
+                self.fail(row, name, f"'{text}' is no finite number below {LARGEST:g}")
         return out
 
     def point(self, name: str) -> Array:
@@ -268,8 +282,15 @@ class _Cells:
     def _convert(self, row: int, name: str, text: str, convert: Callable[[str], float], wanted: str) -> float:
         try:
             return convert(text)
-        except ValueError:
-            self.fail(row, name, f"{text!r} is not {wanted}" if text else f"empty, expected {wanted}")
+        except (ValueError, OverflowError):
+            shown = text if len(text) <= 40 else text[:37] + "..."
+            self.fail(row, name, f"{shown!r} is not {wanted}" if text else f"empty, expected {wanted}")
+
+
+def _number(text: str) -> float:
+    if "_" in text:  # Python reads 1_000 as a number
+        raise ValueError
+    return float(text)
 
 
 def _seconds(text: str) -> float:
@@ -279,14 +300,18 @@ def _seconds(text: str) -> float:
 
 def _read_csv(path: Path) -> Table:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            text = file.read()
     except UnicodeDecodeError as exc:
         raise RecordingError(f"{path}: neither a SQLite recording nor UTF-8 text ({exc.reason})") from None
+    if (nul := text.find("\0")) >= 0:
+        line = text.count("\n", 0, nul) + 1
+        raise RecordingError(f"{path}:{line}: a zero byte, expected text; is the file damaged?")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []
     try:
-        header = tuple(name.strip() for name in next(reader, ()))
+        header = tuple(next(reader, ()))
         for row in reader:
             if not row:
                 continue
@@ -298,8 +323,8 @@ def _read_csv(path: Path) -> Table:
             lines.append(reader.line_num)
     except csv.Error as exc:
         raise RecordingError(f"{path}:{reader.line_num}: not valid CSV ({exc})") from None
-    for k, name in enumerate(header):
-        if not name or name in header[:k]:
+    for k, name in enumerate(names := [column.strip() for column in header]):
+        if not name or name in names[:k]:
             raise RecordingError(f"{path}:1: column {k + 1} is {'twice here: ' + name if name else 'without a name'}")
     if not rows:
         raise RecordingError(f"{path}: a header but no visit")

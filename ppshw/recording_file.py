@@ -7,8 +7,10 @@ in progress. Cells are kept as the texts they came as, so that a CSV goes in and
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -28,6 +30,38 @@ def is_sqlite(path: Path) -> bool:
         return file.read(16) == b"SQLite format 3\x00"
 
 
+@contextmanager
+def only_writer(path: Path | str) -> Iterator[None]:
+    """Nobody else runs into the same recording meanwhile. Raises RecordingError at once when somebody does.
+
+    A lock on `<path>.lock` beside it, which the system drops with the process, however that ends; the recording itself
+    may not be there yet, and SQLite's own locks are held for one transaction only.
+    """
+    import fcntl  # not on Windows, where everything else can be used
+
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: the folder {path.parent} does not exist")
+    lock = path.with_name(path.name + ".lock")
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.stat(lock), os.fstat(handle)):
+                break
+        except BlockingIOError:
+            os.close(handle)
+            raise RecordingError(f"{path}: another run is writing it; wait for its end or choose a new file") from None
+        except FileNotFoundError:
+            pass
+        os.close(handle)  # the one before removed the file between our opening and locking it: once more
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
 class RecordingFile:
     """An open recording. Use as a context manager."""
 
@@ -43,14 +77,17 @@ class RecordingFile:
             raise RecordingError(f"{path}: exists already, expected a new file")
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: the folder {path.parent} does not exist")
-        db = sqlite3.connect(path, isolation_level=None)
-        with _transaction(db):
-            for statement in _SCHEMA.split(";"):
-                db.execute(statement)
-            cells = ", ".join(f"{_quoted(c)} TEXT NOT NULL" for c in columns)
-            db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
-            everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
-            db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
+        try:
+            db = sqlite3.connect(path, isolation_level=None)
+            with _transaction(db):
+                for statement in _SCHEMA.split(";"):
+                    db.execute(statement)
+                cells = ", ".join(f"{name} TEXT NOT NULL" for name in _sql_names(columns))
+                db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
+                everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
+                db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
+        except sqlite3.Error as exc:  # no right to write there, no room, more columns than SQLite has
+            raise RecordingError(f"{path}: cannot be made ({exc})") from None
         return cls(path, db)
 
     @classmethod
@@ -59,14 +96,18 @@ class RecordingFile:
         path = Path(path)
         if not path.is_file():
             raise RecordingError(f"{path}: no such recording")
-        mode = "ro" if readonly else "rw"
-        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, isolation_level=None)
-        file = cls(path, db)
+        # A journal beside it is half a visit of a run that was killed; SQLite must write to take it back.
+        journal = path.with_name(path.name + "-journal").exists()
+        mode = "ro" if readonly and not journal else "rw"
+        db: sqlite3.Connection | None = None
         try:
+            db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, isolation_level=None)
+            file = cls(path, db)
             found = file.meta().get("format")
             damage = db.execute("PRAGMA quick_check").fetchone()[0]
-        except sqlite3.DatabaseError as exc:
-            db.close()
+        except sqlite3.Error as exc:
+            if db is not None:
+                db.close()
             raise RecordingError(f"{path}: not a recording, or cut off ({exc})") from None
         if found != FORMAT or damage != "ok":
             db.close()
@@ -89,10 +130,17 @@ class RecordingFile:
         return tuple(json.loads(self.meta()["columns"]))
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-        """Header and rows as text, in the order they were measured."""
-        header = self.columns()
-        names = ", ".join(_quoted(c) for c in header)
-        return header, tuple(self._db.execute(f"SELECT {names} FROM visits ORDER BY visit"))
+        """Header and rows as text, in the order they were measured. Raises RecordingError where the file is damaged."""
+        try:
+            header = self.columns()
+            names = ", ".join(_sql_names(header))
+            rows = tuple(self._db.execute(f"SELECT {names} FROM visits ORDER BY visit"))
+        except (sqlite3.Error, KeyError, TypeError, ValueError, AttributeError) as exc:
+            raise RecordingError(f"{self.path}: damaged: {exc}") from None
+        for k, row in enumerate(rows):
+            if not all(isinstance(cell, str) for cell in row):
+                raise RecordingError(f"{self.path}: damaged: visit {k + 1} has a cell that is no text")
+        return header, rows
 
     def append(
         self,
@@ -105,7 +153,7 @@ class RecordingFile:
         unknown = set(cells) - set(header)
         if unknown:
             raise RecordingError(f"{self.path}: the recording has no column {', '.join(sorted(unknown))}")
-        names = ", ".join(_quoted(c) for c in header)
+        names = ", ".join(_sql_names(header))
         marks = ", ".join("?" * (len(header) + 1))
         with _transaction(self._db):
             cursor = self._db.execute(
@@ -121,7 +169,7 @@ class RecordingFile:
     def append_rows(self, rows: Iterable[Sequence[str]]) -> None:
         """Commit many rows at once, in the header's order (an import)."""
         marks = ", ".join("?" * len(self.columns()))
-        names = ", ".join(_quoted(c) for c in self.columns())
+        names = ", ".join(_sql_names(self.columns()))
         with _transaction(self._db):
             self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
 
@@ -163,5 +211,14 @@ class _transaction:
         self._db.execute("COMMIT" if kind is None else "ROLLBACK")
 
 
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'
+def _sql_names(columns: Sequence[str]) -> list[str]:
+    """The columns' names in SQL: quoted, and numbered where SQLite, deaf to capitals, would take two for one."""
+    taken = {"visit", "plan_index"}
+    out = []
+    for k, column in enumerate(columns):
+        name = column
+        while name.lower() in taken:
+            name += f"#{k}"
+        taken.add(name.lower())
+        out.append('"' + name.replace('"', '""') + '"')
+    return out

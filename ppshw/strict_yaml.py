@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from ppshw.errors import BadInput
 
 REQUIRED: Any = object()
+# Nothing in these files is larger than a time of day in seconds; beyond, squares of lengths would overflow.
+LARGEST = 1e12
 
 
 class Section:
@@ -177,8 +179,8 @@ class Section:
                 self._fail(node, f"'{self._path(key)}' has {_show(value)}, expected a number")
         if not isinstance(value, int | float) or isinstance(value, bool):
             self._fail(node, f"'{self._path(key)}' has {_show(value)}, expected a number")
-        if not math.isfinite(value):
-            self._fail(node, f"'{self._path(key)}' has {value}, expected a finite number")
+        if not abs(value) <= LARGEST:
+            self._fail(node, f"'{self._path(key)}' has {_show(value)}, expected a finite number")
         return float(value)
 
 
@@ -195,6 +197,8 @@ def read_yaml(path: Path | str, error: type[BadInput]) -> Section:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.YAMLError as exc:
         raise error(f"{path}: not valid YAML ({_one_line(exc)})") from None
+    except RecursionError:
+        raise error(f"{path}: not valid YAML (nested too deep)") from None
     if node is None:
         raise error(f"{path}: the file is empty")
     if not isinstance(node, yaml.MappingNode):
@@ -203,14 +207,17 @@ def read_yaml(path: Path | str, error: type[BadInput]) -> Section:
 
 
 def _construct(node: yaml.Node) -> Any:
+    """What the node stands for; what YAML itself cannot make of it (a month 13, a loop) comes back as its bare text."""
     loader = yaml.SafeLoader("")
     try:
         return loader.construct_object(node, deep=True)
-    except yaml.YAMLError:
-        return getattr(node, "value", None)
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError):
+        return node.value if isinstance(node, yaml.ScalarNode) else "something that YAML cannot read"
 
 
 def _show(value: Any) -> str:
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return "a huge number"  # Python refuses to write integers of more than 4300 digits
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

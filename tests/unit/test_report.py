@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from ppshw.calibration import Calibration
+from ppshw.calibration import Calibration, content_digest
 from ppshw.compensation import solve_pose
 from ppshw.errors import BadInput, RecordingError, ReportError
 from ppshw.identification.joint import estimate
@@ -413,6 +413,7 @@ def test_an_unknown_measuring_frame_is_placed_by_the_calibration(copy: Path) -> 
     data = json.loads((copy / "calibration.json").read_text())
     data["provenance"]["machine_sha256"] = load_machine(copy / "machine.yaml").sha256
     data["measuring_in_base"][0][3] = 0.0025
+    data["content_sha256"] = content_digest(data)
     (copy / "calibration.json").write_text(json.dumps(data))
     numbers = compute(read_folder(copy))
     assert numbers.errors["compensated"] - before == pytest.approx(np.tile([0.0025, 0, 0], (40, 1)), abs=1e-12)
