@@ -29,7 +29,9 @@ FILE = Path(__file__).parents[2] / "machines/pps.yaml"
 PPS = load_machine(FILE)
 
 
-def measure(plant: Plant, q: Array, loads: list[Load | None], rng: np.random.Generator, noisy: bool) -> Recording:
+def measure(
+    plant: Plant, q: Array, loads: list[Load | None] | Array, rng: np.random.Generator, noisy: bool
+) -> Recording:
     """What instruments say of these visits, with the true treatment point beside it; no labels at all."""
     count = len(q)
     scatter = plant.draw_repeatability(count, rng) if noisy else None
@@ -279,3 +281,35 @@ def test_structure_is_found_from_setpoints_and_wrenches() -> None:
     assert [len(sweeps.knots(k)) for k in range(6)] == [53, 17, 31, 31, 19, 19]
     assert all(len(c.loads) == 5 for c in sweeps.configurations if not c.away or set(c.away) <= {1, 2})
     assert {len(c.loads) for c in sweeps.of_joint(0)} == {3}
+
+
+def test_home_may_be_anywhere() -> None:
+    """Longitudinal at 0.5 m throughout, where it is not itself swept."""
+    plant = Plant.from_file(FILE, 1, repeatability=1.4e-4)
+    plan = campaign("paper", 1, True)
+    q = plan.q_cmd.copy()
+    q[q[:, 2] == 0.0, 2] = 0.5
+    found = identify_paper(PPS, measure(plant, q, plan.wrench, np.random.default_rng(2), True))
+    assert found.home == pytest.approx([0, 0, 0.5, 0, 0, 0])
+    left = left_at_treatment_mm(found, found.theta, 1, True)
+    inside = campaign("verification", 1, True).q_cmd[:, 2] > 0.05
+    assert inside.sum() > 90
+    assert np.quantile(left[inside], 0.986) < 0.5
+
+
+def test_the_tracker_may_stand_anywhere_and_targets_sit_a_little_off(tmp_path: Path) -> None:
+    """Seen at the targets, since where the tracker's frame is in the base is a matter of convention then."""
+    text = FILE.read_text(encoding="utf-8")
+    assert "position_sigma: 2.0e-5" in text
+    path = tmp_path / "pps.yaml"
+    unknown = "position_sigma: 2.0e-5\n  base: estimate\n  targets: estimate"
+    path.write_text(text.replace("position_sigma: 2.0e-5", unknown), encoding="utf-8")
+    machine, plant = load_machine(path), Plant.from_file(path, 4, repeatability=1.4e-4)
+    plan, check = campaign("paper", 4, True), campaign("verification", 4, True)
+    found = identify_paper(machine, measure(plant, plan.q_cmd, plan.wrench, np.random.default_rng(2), True))
+    frame = found.measuring_in_base
+    assert np.linalg.norm(frame[:3, 3]) > 2.0
+    seen = measure(plant, check.q_cmd, check.wrench, np.random.default_rng(3), True)
+    real = seen.points @ frame[:3, :3].T + frame[:3, 3]
+    left = np.linalg.norm(found.model.predict(Situation.of(seen), found.theta) - real, axis=2)
+    assert np.quantile(left, 0.986) < 0.5e-3
