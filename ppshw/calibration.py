@@ -29,6 +29,7 @@ from ppshw.recording import Recording
 from ppshw.terms import FrameTerm
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.geometric import Geometric
+from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
 
 Array = NDArray[np.float64]
@@ -188,6 +189,8 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
             terms.append(Geometric.from_dict(item))
         elif item["kind"] == "compliance":
             terms.append(Compliance.from_dict(item))
+        elif item["kind"] == "own_motion":
+            terms.append(OwnMotion.from_dict(item))
         elif item["kind"] == "target_offset":
             target_offset = TargetOffset.from_dict(item)
         else:

@@ -12,19 +12,33 @@ from ppshw.terms import FrameTerm
 from ppshw.terms.basis import Basis, Constant, Polynomial, Smooth
 from ppshw.terms.elastic import Compliance, pattern
 from ppshw.terms.geometric import Geometric
+from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
 
 Array = NDArray[np.float64]
 # Sines per function, at most: with 16 the shortest wave is a seventh of the travel.
 MOST_WAVES = 16
 COMPLIANCE_DEGREE = 3
+# A joint's motion along its own freedom gets shorter waves too where visits abound: one per 16 visits, 128 at most.
+# From how many visits on is our choice: a campaign like the paper's (669) hardly resolves a gear; it is spared the time.
+OWN_FROM_VISITS = 750
+VISITS_PER_OWN_WAVE = 16
+MOST_OWN_WAVES = 128
 
 
 def joint_model(machine: Machine, recording: Recording, waves: int = MOST_WAVES) -> Model:
-    """Model (17) with smooth functions of one variable: base, one geometric and one elastic term per joint."""
+    """Model (17) with smooth functions of one variable: base, one geometric and one elastic term per joint.
+
+    With many visits also what repeats many times along a joint's travel, in its own motion alone; `waves` = 0 asks for
+    straight lines and gets none of it.
+    """
     terms: list[FrameTerm] = [Geometric(0, Constant())]
     for k, joint in enumerate(machine.joints):
         terms.append(Geometric(k + 1, smooth_basis(joint, recording.q[:, k], waves)))
+    for k, joint in enumerate(machine.joints):
+        own = own_motion(joint, k + 1, recording.q[:, k], waves)
+        if own is not None:
+            terms.append(own)
     for k, joint in enumerate(machine.joints):
         if joint.elastic is not None:
             basis = compliance_basis(joint, recording.q[:, k])
@@ -48,6 +62,23 @@ def smooth_basis(joint: Joint, q: Array, waves: int) -> Basis:
         return Constant()
     low, high = float(q.min()), float(q.max())
     return Smooth((low + high) / 2, (high - low) / 2, max(0, min(waves, distinct - 2)))
+
+
+def own_motion(joint: Joint, frame: int, q: Array, waves: int) -> OwnMotion | None:
+    """Waves shorter than `waves` along the joint's own freedom; None where the visits do not sample them.
+
+    Two different positions per half wave are the least (Nyquist), a fiftieth of the shortest half wave counting as one.
+    """
+    low, high = float(q.min()), float(q.max())
+    if waves == 0 or len(q) < OWN_FROM_VISITS or low == high:
+        return None
+    distinct = len(np.unique(np.round((q - low) / (high - low) * 50 * MOST_OWN_WAVES)))
+    last = min(MOST_OWN_WAVES, len(q) // VISITS_PER_OWN_WAVE, distinct // 2)
+    if last <= waves:
+        return None
+    nothing, axis = (0.0, 0.0, 0.0), tuple(float(a) for a in joint.axis)
+    direction = axis + nothing if joint.prismatic else nothing + axis
+    return OwnMotion(frame, direction, (low + high) / 2, (high - low) / 2, waves + 1, last)
 
 
 def compliance_basis(joint: Joint, q: Array) -> Basis:
