@@ -1,70 +1,89 @@
 """The command line: the composition root. One function per subcommand, nothing clever.
 
-Exit codes: 0 success, 1 a failed run, 2 bad input. What went wrong is one line on stderr.
+Exit codes: 0 success, 1 a failed run, 2 bad input. What went wrong is one line on stderr. Answers go to stdout, and
+with --json nothing else does; prompts and progress go to stderr.
 """
 
 from __future__ import annotations
 
 import argparse
+import errno
 import json
+import logging
+import math
 import os
+import re
+import signal
+import sqlite3
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from tqdm import tqdm
 
 from ppshw import __version__
 from ppshw.errors import BadInput, PpshwError
+from ppshw.progress import Bar
+
+# What the system says of a path that the user gave; any other OSError is a run that failed.
+_BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG,
+             errno.ELOOP, errno.EROFS, errno.EINVAL}  # fmt: skip
+
+
+_NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
 
 
 class _Parser(argparse.ArgumentParser):
     """Complaints in one line, like every other."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-class _Bar:
-    """A progress bar with time left for whatever takes longer than a second; quiet when nobody watches."""
-
-    def __init__(self) -> None:
-        self._bar: Any = None
-        self._name = ""
-
-    def __call__(self, name: str, done: int, total: int) -> None:
-        if name != self._name:
-            self.close()
-            self._name = name
-            self._bar = tqdm(total=total, desc=name.replace("_", " "), delay=1, disable=None, leave=False, ncols=79)
-        self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
 
 
 def _say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
     print(json.dumps(answer, indent=1) if arguments.json else text)
 
 
+# --- files that are written whole or not at all ------------------------------------------------------------------
+def _new_file(path: str, *inputs: str) -> Path:
+    """Where an answer may go. Raises BadInput before anything is computed, not after."""
+    out = Path(path)
+    if not out.parent.is_dir():
+        raise BadInput(f"{out}: the folder {out.parent} does not exist")
+    if out.is_dir():
+        raise BadInput(f"{out}: a folder, expected the name of a file to write")
+    for given in inputs:
+        if out.exists() and Path(given).exists() and out.samefile(given):
+            raise BadInput(f"{out}: is what is read here, expected another file to write")
+    return out
+
+
+@contextmanager
+def _written_whole(path: Path) -> Iterator[Path]:
+    """A file beside `path` that takes its place when all went well, and is gone when not."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
 # --- recordings ------------------------------------------------------------------------------------------------
 def import_(a: argparse.Namespace) -> None:
     """import: CSV → SQLite, nothing written unless every value is good."""
-    from ppshw.machine import load_machine
-    from ppshw.recording import parse_table, read_table
+    from ppshw.recording import check_machine, parse_table, read_table
     from ppshw.recording_file import RecordingFile
 
-    machine = load_machine(a.machine)
+    machine = _machine(a)
+    out = _new_file(a.out, a.csv, machine.file)
+    if out.exists():
+        raise BadInput(f"{out}: exists already, expected a new file")
     table = read_table(a.csv)
+    check_machine(table, machine)
     recording = parse_table(table, machine)
-    partial = Path(f"{a.out}.part")
-    if Path(a.out).exists():
-        raise BadInput(f"{a.out}: exists already, expected a new file")
-    partial.unlink(missing_ok=True)
     meta = {
         "machine": Path(machine.file).read_text(encoding="utf-8"),
         "machine_name": machine.name,
@@ -72,9 +91,8 @@ def import_(a: argparse.Namespace) -> None:
         "imported_from": Path(a.csv).name,
         "ppshw": __version__,
     }
-    with RecordingFile.create(partial, table.header, meta) as file:
+    with _written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
         file.append_rows(table.rows)
-    os.replace(partial, a.out)
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
     _say(a, answer, f"{a.out}: {len(recording)} visits, {readings} readings")
@@ -83,16 +101,15 @@ def import_(a: argparse.Namespace) -> None:
 def export(a: argparse.Namespace) -> None:
     """export: SQLite → CSV, the same cells in the same order."""
     from ppshw.recording import read_table
+    from ppshw.recording_file import is_sqlite
 
+    out = _new_file(a.csv, a.rec)
+    if out.is_file() and is_sqlite(out):
+        raise BadInput(f"{out}: is a recording already, expected the name of a CSV file to write")
     table = read_table(a.rec)
-    _write_whole(Path(a.csv), table.csv_text())
+    with _written_whole(out) as partial:
+        partial.write_text(table.csv_text(), encoding="utf-8", newline="")
     _say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {len(table.rows)} visits")
-
-
-def _write_whole(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8", newline="")
-    os.replace(partial, path)
 
 
 # --- the model side ----------------------------------------------------------------------------------------------
@@ -102,17 +119,16 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.calibration import Calibration
     from ppshw.evaluation import figures, residuals
     from ppshw.identification import identify as run
-    from ppshw.machine import load_machine
     from ppshw.recording import load_recording
 
-    machine = load_machine(a.machine)
+    machine = _machine(a)
+    out = _new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    bar = _Bar()
-    estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
-    bar.close()
+    with Bar() as bar:
+        estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
     calibration = Calibration.of(estimate, recording, a.method)
-    calibration.save(a.out)
+    calibration.save(out)
     fit = figures(residuals(recording, calibration))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
@@ -143,12 +159,11 @@ def identify(a: argparse.Namespace) -> None:
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.evaluation import evaluate as run
-    from ppshw.machine import load_machine
     from ppshw.recording import load_recording
 
-    machine = load_machine(a.machine)
+    machine = _machine(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
-    answer = run(load_recording(a.rec, machine), machine, calibration)
+    answer = run(load_recording(a.rec, machine), machine, calibration, refit_base=a.refit_base)
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", _FIGURE_HEAD]
     _say(a, answer, "\n".join([*lines, *(_figure_row(name, values) for name, values in rows)]))
@@ -162,29 +177,33 @@ def _figure_row(name: str, values: dict[str, Any]) -> str:
     return f"{name:16}" + "".join(f"{values[k]:10.3f}" for k in keys)
 
 
-def _numbers(text: str, count: int, what: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    words = text.replace(",", " ").split()
+def _numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """`count` numbers, given as one word or several, with spaces, commas or brackets around them."""
+    text = " ".join(words).strip()
     try:
-        values = np.array([float(w) for w in words])
+        values = np.array([float(w) for w in text.translate(_BETWEEN_NUMBERS).split()])
     except ValueError:
         raise BadInput(f"{what}: '{text}' holds something that is no number, expected {count} numbers") from None
-    if len(values) != count or not np.isfinite(values).all():
+    if len(values) != count or not (np.abs(values) < 1e9).all():
         raise BadInput(f"{what}: '{text}' holds {len(values)} values, expected {count} finite numbers")
     return values
+
+
+_BETWEEN_NUMBERS = str.maketrans(",;[]()", "      ")
 
 
 def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
     """What `compensate` and `move` share: the wanted pose, corrected."""
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Bounds, Compensator
-    from ppshw.machine import load_machine
     from ppshw.transforms import from_xyz_rpy
 
-    machine = load_machine(a.machine)
+    machine = _machine(a)
     compensator = Compensator(load_calibration(a.calibration, machine), Bounds(a.max_travel, a.max_angle))
     payload = _numbers(a.wrench, 6, "--wrench")
     if a.point not in ("tip", *machine.points, *machine.targets):
-        raise BadInput(f"--point: no point named '{a.point}' in {a.machine}")
+        known = ", ".join(["tip", *machine.points, *machine.targets])
+        raise BadInput(f"--point: no point named '{a.point}' in {machine.file}, expected one of {known}")
     if a.joints is not None:
         setpoints = compensator.for_joints(_numbers(a.joints, machine.n, "--joints"), payload, a.point)
     else:
@@ -198,7 +217,6 @@ def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
         "point": a.point,
         "predicted_error_mm": (setpoints.predicted_error * 1e3).tolist(),
         "std_mm": (setpoints.std * 1e3).tolist(),
-        "warnings": [],
     }
     lines = [f"{'joint':16}{'nominal':>14}{'setpoint':>14}{'correction':>14}"]
     for k, joint in enumerate(machine.joints):
@@ -216,14 +234,20 @@ def compensate(a: argparse.Namespace) -> None:
 
 
 def move(a: argparse.Namespace) -> None:
+    from campaigns.plan import travel_time
     from campaigns.site import load_site, open_bench
 
     machine, answer, text = _corrected(a)
-    site = load_site(a.site, machine)
-    with open_bench(site) as bench:
-        bench.axes.check()
-        bench.axes.start()
-        report = bench.axes.move(answer["setpoints"])
+    site = load_site(a.site)
+    if site.machine.sha256 != machine.sha256:
+        there = f"'{site.machine.name}' ({site.machine.file})"
+        raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
+    with open_bench(site) as bench, Bar() as bar:
+        bench.start_axes(a.reset_faults)
+        here, there = bench.axes.positions(), answer["setpoints"]
+        longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
+        with bar.expect("move", longest / site.speed):
+            report = bench.axes.move(there)
     answer["reached"] = dict(report.positions)
     _say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
 
@@ -239,9 +263,8 @@ def report(a: argparse.Namespace) -> None:
 def plan(a: argparse.Namespace) -> None:
     from campaigns.plan import plan_campaign
     from campaigns.script import load_script
-    from ppshw.machine import load_machine
 
-    machine = load_machine(a.machine)
+    machine = _machine(a)
     found = plan_campaign(load_script(a.campaign), machine)
     summary = found.summary()
     answer: dict[str, Any] = summary.as_dict()
@@ -271,17 +294,18 @@ def run(a: argparse.Namespace) -> None:
     from campaigns.runner import run_campaign
     from campaigns.script import load_script
     from campaigns.site import load_site, open_bench
+    from ppshw.recording_file import only_writer
 
     site = load_site(a.site)
     found = plan_campaign(load_script(a.campaign), site.machine)
     correct, label = _setpoint_map(a, site.machine)
-    bar = _Bar()
-    with open_bench(site) as bench:
+    out = _new_file(a.out, a.site, site.machine.file)
+    with only_writer(out), open_bench(site) as bench, Bar() as bar:
         result = run_campaign(
-            found, bench, Path(a.out), site.make_operator(),
-            setpoint_map=correct, map_label=label, progress=lambda p: bar("visits", p.done, p.total),
+            found, bench, out, site.make_operator(),
+            setpoint_map=correct, map_label=label, reset_faults=a.reset_faults,
+            progress=lambda p: bar("visits", p.done, p.total, p.seconds_left / site.speed),
         )  # fmt: skip
-    bar.close()
     answer = {"out": str(result.out), "measured": result.measured, "done": result.done, "planned": len(found.visits),
               "skipped": result.skipped, "lost_beams": result.lost_beams}  # fmt: skip
     _say(a, answer, f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all")
@@ -312,15 +336,20 @@ def check(a: argparse.Namespace) -> None:
 def simulate(a: argparse.Namespace) -> None:
     from simulators.serve import serve
 
-    serve(a.machine, a.site_out, seed=a.seed, speed=a.speed, force_protocol=a.force_sensor)
+    machine, site = _machine(a), _new_file(a.site_out, a.machine)
+
+    def announce(path: Path) -> None:
+        print(json.dumps({"site": str(path)}), flush=True)
+
+    ready = announce if a.json else None
+    serve(machine.file, site, seed=a.seed, speed=a.speed, force_protocol=a.force_sensor, ready=ready)
 
 
 def demo(a: argparse.Namespace) -> None:
     from ppshw.demo import run_demo
 
-    bar = _Bar()
-    answer = run_demo(Path(a.out), a.seed, Path(a.machine), a.method, bar)
-    bar.close()
+    with Bar() as bar:
+        answer = run_demo(Path(a.out), a.seed, Path(_machine(a).file), a.method, bar)
     scatter = answer["repeatability"]
     text = "\n".join(
         [
@@ -339,31 +368,62 @@ def demo(a: argparse.Namespace) -> None:
 
 
 # --- arguments -----------------------------------------------------------------------------------------------------
+def _machine(a: argparse.Namespace) -> Any:
+    """The machine file of that path, or the one of that name that comes with ppshw."""
+    from ppshw.machine import load_machine
+
+    named = shipped_machines() / f"{a.machine}.yaml"
+    return load_machine(named if not Path(a.machine).exists() and named.is_file() else a.machine)
+
+
+def shipped_machines() -> Path:
+    """The folder of the machine files that come with ppshw: in the checkout, or inside the installed package."""
+    here = Path(__file__).resolve().parent
+    return found if (found := here / "machines").is_dir() else here.parent / "machines"
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
+_positive.__name__, _seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="ppshw", description="Measure, identify and take out the errors of a large manipulator.")
     parser.add_argument("--version", action="version", version=f"ppshw {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
     def add(name: str, function: Callable[[argparse.Namespace], None], about: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=about, description=about)
+        found = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
         found.add_argument("--json", action="store_true", help="print the answer as JSON")
         found.set_defaults(function=function)
         return found
 
     def machine(p: argparse.ArgumentParser) -> None:
-        p.add_argument("--machine", required=True, metavar="M", help="machine file")
+        p.add_argument("--machine", required=True, metavar="M", help="machine file, or pps or arm6, which come with it")
 
     p = add("demo", demo, "the main job on simulated hardware, from campaign to compensated verification")
     p.add_argument("--out", default="demo-out", metavar="DIR", help="where results go (default: demo-out)")
-    p.add_argument("--seed", type=int, default=1, help="seed of the simulated machine (default: 1)")
-    p.add_argument("--machine", default=str(default_machine()), metavar="M", help="default: the positioner")
+    p.add_argument("--seed", type=_seed, default=1, help="seed of the simulated machine (default: 1)")
+    p.add_argument("--machine", default="pps", metavar="M", help="machine file (default: pps, the positioner)")
     p.add_argument("--method", choices=("joint", "paper"), default="joint", help="identification (default: joint)")
 
     p = add("simulate", simulate, "simulated hardware as a process of its own, on endpoints that open like real ones")
     machine(p)
     p.add_argument("--site-out", required=True, metavar="S", help="site file to write, for check and run")
-    p.add_argument("--seed", type=int, default=1)
-    p.add_argument("--speed", type=float, default=1.0, help="how much faster than real time (default: 1)")
+    p.add_argument("--seed", type=_seed, default=1, help="seed of the simulated machine (default: 1)")
+    p.add_argument("--speed", type=_positive, default=1.0, help="how much faster than real time (default: 1)")
     p.add_argument("--force-sensor", choices=("bota", "gsv8"), default="bota")
 
     p = add("check", check, "connect to each device of a site and say who and how it is; moves nothing")
@@ -377,13 +437,14 @@ def _parser() -> argparse.ArgumentParser:
     p = add("run", run, "run a campaign; the same command again goes on where it stopped")
     p.add_argument("campaign", help="campaign script (a file, or the name of one that comes with ppshw)")
     p.add_argument("--site", required=True, metavar="S", help="site file")
-    p.add_argument("--out", required=True, metavar="REC.db", help="the recording")
+    p.add_argument("--out", required=True, metavar="REC.db", help="the recording; goes on with one that is begun")
     p.add_argument("--calibration", metavar="CAL.json", help="drive compensated setpoints")
+    _reset_faults(p)
 
     p = add("import", import_, "interchange CSV → recording, lossless")
     p.add_argument("csv", metavar="CSV")
     machine(p)
-    p.add_argument("--out", required=True, metavar="REC.db")
+    p.add_argument("--out", required=True, metavar="REC.db", help="a new file")
 
     p = add("export", export, "recording → interchange CSV, lossless")
     p.add_argument("rec", metavar="REC.db")
@@ -399,41 +460,56 @@ def _parser() -> argparse.ArgumentParser:
     p = add("evaluate", evaluate, "what the model misses on a recording it has not seen")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
     machine(p)
-    p.add_argument("--calibration", metavar="CAL.json")
+    p.add_argument("--calibration", metavar="CAL.json", help="without: the ideal machine only")
+    p.add_argument("--refit-base", action="store_true",
+                   help="the tracker was moved since the calibration: fit the measuring frame to this recording first "
+                   "(default: the frame of the calibration, or of the machine file)")  # fmt: skip
 
     for name, function, about in (
         ("compensate", compensate, "wanted pose and load → corrected joint setpoints; moves nothing"),
-        ("move", move, "the same, and drives the axes there"),
+        ("move", move, "the same as compensate, and drives the axes there"),
     ):
         p = add(name, function, about)
         machine(p)
         p.add_argument("--calibration", required=True, metavar="CAL.json")
         wanted = p.add_mutually_exclusive_group(required=True)
-        wanted.add_argument("--pose", metavar="'X Y Z R P Y'", help="of the point, in the base frame [m, rad]")
-        wanted.add_argument("--joints", metavar="'Q1 … QN'", help="the pose the ideal machine has there [m, rad]")
-        p.add_argument("--wrench", default="0 0 0 0 0 0", metavar="'FX … MZ'", help="payload on the sensor [N, N m]")
+        wanted.add_argument("--pose", nargs="+", metavar="X Y Z ROLL PITCH YAW",
+                            help="of the point, in the base frame [m, rad]")  # fmt: skip
+        wanted.add_argument("--joints", nargs="+", metavar="Q1 … QN",
+                            help="instead: the pose that the ideal machine has there [m, rad]")  # fmt: skip
+        p.add_argument("--wrench", nargs="+", default=["0 0 0 0 0 0"], metavar="FX FY FZ MX MY MZ",
+                       help="payload on the sensor at that pose, sensor frame [N, N m] (default: none)")  # fmt: skip
         p.add_argument("--point", default="tip", help="tip, or a point or target of the machine file (default: tip)")
-        p.add_argument("--near", metavar="'Q1 … QN'", help="of several ways to reach the pose, the one nearest to this")
-        p.add_argument("--max-travel", type=float, default=0.03, metavar="M", help="most it may correct (default 0.03)")
-        p.add_argument("--max-angle", type=float, default=0.03, metavar="RAD", help="most it may correct (default 0.03)")
+        p.add_argument("--near", nargs="+", metavar="Q1 … QN",
+                       help="of several ways to reach the pose, the one nearest to this")  # fmt: skip
+        p.add_argument("--max-travel", type=_positive, default=0.03, metavar="M",
+                       help="most that a prismatic joint may be corrected (default: 0.03)")  # fmt: skip
+        p.add_argument("--max-angle", type=_positive, default=0.03, metavar="RAD",
+                       help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
         if name == "move":
             p.add_argument("--site", required=True, metavar="S", help="site file")
+            _reset_faults(p)
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR")
     return parser
 
 
-def default_machine() -> Path:
-    """The positioner's machine file: in the checkout, or as it was installed."""
-    return Path(__file__).resolve().parents[1] / "machines" / "pps.yaml"
+def _reset_faults(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--reset-faults", action="store_true",
+                   help="acknowledge the drives' faults first: somebody has seen to the cause")  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    arguments = _parser().parse_args(argv)
+    if argv is None:
+        argv = sys.argv[1:]
+        _as_a_program()
+    # a leading space keeps argparse from taking -1e-3 or -0.1,2 for an option
+    arguments = _parser().parse_args([f" {word}" if _NEGATIVE.fullmatch(word) else word for word in argv])
     try:
         arguments.function(arguments)
+        sys.stdout.flush()
     except PpshwError as error:
         return _complain(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -442,12 +518,27 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        return _complain(f"{error.filename or 'file'}: {error.strerror or error}", 2)
+        message = f"{error.filename or 'file'}: {error.strerror or error}"
+        return _complain(message, 2 if error.errno in _BAD_PATH else 1)
+    except sqlite3.Error as error:
+        return _complain(f"recording: {error}", 1)
     except Exception as error:
         if os.environ.get("PPSHW_DEBUG"):
             raise
         return _complain(f"internal error: {type(error).__name__}: {error} (PPSHW_DEBUG=1 shows where)", 1)
     return 0
+
+
+def _as_a_program() -> None:
+    """What concerns the whole process: a polite kill stops the axes like Ctrl-C; stderr is for our one line alone."""
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    if not os.environ.get("PPSHW_DEBUG"):
+        logging.captureWarnings(True)
+        logging.getLogger().addHandler(logging.NullHandler())  # else Python prints the drivers' warnings itself
+    with suppress(AttributeError):  # a terminal without our letters must not end in a traceback
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
 
 def _complain(message: str, code: int) -> int:

@@ -36,6 +36,7 @@ from simulators.hardware import SimulatedHardware
 Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 POINT = "treatment"
+MARK = ".ppshw-demo"  # this folder's recordings are a demo's and may be replaced
 CAMPAIGNS = {
     "campaign": "paper",
     "repeatability": "repeatability",
@@ -53,10 +54,13 @@ def run_demo(
     """
     started = time.perf_counter()
     campaigns = campaigns or CAMPAIGNS
-    machine_copy = _fresh(out, machine_file)
-    machine = load_machine(machine_copy)
+    machine = load_machine(machine_file)
     if POINT not in machine.points:
         raise BadInput(f"{machine_file}: the demo needs a point named '{POINT}' in tip.points")
+    for name in campaigns.values():  # refuse before anything is written
+        plan_campaign(load_script(name), machine)
+    machine_copy = _fresh(out, machine_file)
+    machine = load_machine(machine_copy)
     clock = SteppedClock()
     with SimulatedHardware(machine_copy, clock, out, seed=seed) as hardware:
         site = load_site(hardware.write_site(out / "site.yaml"))
@@ -73,7 +77,7 @@ def run_demo(
 
         recording = measure("campaign")
         scatter = repeatability(measure("repeatability"), machine, POINT)
-        before = point_errors(measure("verification_nominal", _as_wanted), machine, POINT)
+        before = point_errors(measure("verification_nominal", _as_wanted, "nominal"), machine, POINT)
         identified = time.perf_counter()
         estimate = identify(machine, recording, method, lambda k, n: say("identify", k, n))
         identify_s = time.perf_counter() - identified
@@ -104,11 +108,19 @@ def run_demo(
 
 
 def _fresh(out: Path, machine_file: Path) -> Path:
-    """The folder without what an earlier demo left there; other files stay."""
+    """The folder without what an earlier demo left there; other files stay, and nobody else's recording is touched."""
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
-    for name in [*(f"{c}.db" for c in CAMPAIGNS), "calibration.json", "demo.json", "report.html"]:
-        (out / name).unlink(missing_ok=True)
-    return Path(shutil.copy(machine_file, out / "machine.yaml"))
+    ours = [*(f"{c}.db" for c in CAMPAIGNS), *(f"{c}.db-journal" for c in CAMPAIGNS), "calibration.json", "demo.json",
+            "report.html"]  # fmt: skip
+    there = [name for name in ours if (out / name).exists()]
+    if there and not (out / MARK).exists():
+        raise BadInput(f"{out}: holds {there[0]}, which no demo made; expected another folder")
+    (out / MARK).write_text("made by ppshw demo; the next one with the same --out replaces it\n", encoding="utf-8")
+    for name in there:
+        (out / name).unlink()
+    return Path(shutil.copyfile(machine_file, out / "machine.yaml"))
 
 
 def _as_wanted(wanted: Array, wrench: Array, here: Array) -> Array:

@@ -14,21 +14,36 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
+from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
 
 
-def residuals(recording: Recording, calibration: Calibration) -> Array:
-    """Measured minus predicted targets: (N, T, 3) [m], base frame, nan where a target was lost."""
-    measured = to_base(recording.points, calibration.measuring_in_base)
-    return np.asarray(measured - calibration.model.predict(Situation.of(recording), calibration.theta))
+def residuals(recording: Recording, calibration: Calibration, refit_base: bool = False) -> Array:
+    """Measured minus predicted targets: (N, T, 3) [m], base frame, nan where a target was lost.
+
+    refit_base  the tracker was moved since: fit the measuring frame to this recording instead of the calibration's. It
+                takes six numbers from the residuals, and an error of the whole machine hides in it.
+    """
+    predicted = calibration.model.predict(Situation.of(recording), calibration.theta)
+    frame = _fitted_frame(recording, predicted) if refit_base else calibration.measuring_in_base
+    return np.asarray(to_base(recording.points, frame) - predicted)
 
 
-def nominal_residuals(recording: Recording, machine: Machine) -> Array:
+def _fitted_frame(recording: Recording, predicted: Array) -> Array:
+    seen = recording.seen
+    if seen.sum() < 3:
+        raise RecordingError(
+            f"{recording.source}: {int(seen.sum())} readings do not place the measuring frame, expected 3 or more"
+        )
+    return fit_rigid(recording.points[seen], predicted[seen])
+
+
+def nominal_residuals(recording: Recording, machine: Machine, refit_base: bool = False) -> Array:
     """The same for the ideal machine. Where the measuring frame is unknown it is fitted to this very recording, and so
     are the targets if they are: figures that flatter."""
     frame, targets = machine.tracker.base, machine.target_array
-    if frame is None:
+    if frame is None or refit_base:
         frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
     return np.asarray(to_base(recording.points, frame) - point_positions(machine, recording.q, targets))
 
@@ -52,8 +67,10 @@ def figures(errors: Array) -> dict[str, float]:
     }
 
 
-def evaluate(recording: Recording, machine: Machine, calibration: Calibration | None) -> dict[str, Any]:
+def evaluate(
+    recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
+) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it."""
-    nominal = figures(nominal_residuals(recording, machine))
-    mine = nominal if calibration is None else figures(residuals(recording, calibration))
+    nominal = figures(nominal_residuals(recording, machine, refit_base))
+    mine = nominal if calibration is None else figures(residuals(recording, calibration, refit_base))
     return {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}

@@ -146,9 +146,14 @@ def read_table(path: Path | str) -> Table:
 def load_recording(path: Path | str, machine: Machine) -> Recording:
     """Read and check a recording. Raises RecordingError naming file, line and column."""
     table = read_table(path)
-    if table.machine_name not in ("", machine.name):
-        raise RecordingError(f"{path}: measured on machine '{table.machine_name}', not on '{machine.name}'")
+    check_machine(table, machine)
     return parse_table(table, machine)
+
+
+def check_machine(table: Table, machine: Machine) -> None:
+    """Raise where the recording says that it is of another machine. The machine's file may well have changed since."""
+    if table.machine_name not in ("", machine.name):
+        raise RecordingError(f"{table.source}: measured on machine '{table.machine_name}', not on '{machine.name}'")
 
 
 def parse_table(table: Table, machine: Machine) -> Recording:

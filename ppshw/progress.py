@@ -1,0 +1,75 @@
+"""A progress bar with time left for whatever takes longer than a second; on stderr, quiet when nobody watches."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from tqdm import tqdm
+
+WIDTH = 79
+_COUNTED = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+_FORETOLD = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{postfix}]"
+_TIMED = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]"
+
+
+class Bar:
+    """One bar at a time. Use as a context manager, so that an error finds the line clear."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+        self._name = ""
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __call__(self, name: str, done: int, total: int, seconds_left: float | None = None) -> None:
+        """`done` of `total` of what is called `name`; a new name begins a new bar.
+
+        seconds_left  where somebody knows better than by how fast it went so far (a plan that knows its load changes)
+        """
+        if name != self._name:
+            self._open(name, total, _COUNTED if seconds_left is None else _FORETOLD)
+        if seconds_left is not None:
+            self._bar.set_postfix_str(tqdm.format_interval(seconds_left), refresh=False)
+        self._bar.update(done - self._bar.n)
+
+    @contextmanager
+    def expect(self, name: str, seconds: float) -> Iterator[None]:
+        """Something that reports nothing of itself but should take about so long."""
+        if seconds < 1.0:
+            yield
+            return
+        self._open(name, seconds, _TIMED)
+        over = threading.Event()
+        ticking = threading.Thread(target=self._tick, args=(over, seconds), daemon=True)
+        ticking.start()
+        try:
+            yield
+        finally:
+            over.set()
+            ticking.join()
+            self.close()
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+        self._bar, self._name = None, ""
+
+    def _open(self, name: str, total: float, form: str) -> None:
+        self.close()
+        self._name = name
+        self._bar = tqdm(
+            total=total, desc=name.replace("_", " "), bar_format=form, delay=1, disable=None, leave=False, ncols=WIDTH
+        )
+
+    def _tick(self, over: threading.Event, seconds: float) -> None:
+        began = time.monotonic()
+        while not over.wait(0.2):
+            self._bar.update(min(seconds, time.monotonic() - began) - self._bar.n)
