@@ -18,6 +18,7 @@ from ppshw.terms import FrameTerm, Situation
 from ppshw.terms.basis import Basis, Constant, Interpolated, Polynomial, Smooth, basis_from_dict
 from ppshw.terms.elastic import Compliance, pattern
 from ppshw.terms.geometric import Geometric
+from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
 
 Array = NDArray[np.float64]
@@ -35,6 +36,8 @@ TERMS: list[FrameTerm | TargetOffset] = [
     *(Geometric(k, basis) for k, basis in zip((1, 2, 3, 4), BASES, strict=True)),
     *(Compliance(k, BEAM, ALL_LOADS, basis) for k, basis in zip((2, 3, 5, 6), BASES, strict=True)),
     Compliance(1, ((1, 1), (1, 3)), (1, 3), Constant()),
+    OwnMotion(1, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 1.125, 17, 40),
+    OwnMotion(4, (0.0, 0.0, 0.0, 0.0, 1.0, 0.0), 0.0, 1.5, 30, 33),
     TargetOffset(tuple(PPS.targets)),
 ]
 
@@ -73,7 +76,7 @@ def test_every_term_moves_the_targets_as_its_regressors_say(term: FrameTerm | Ta
 
 
 def test_every_term_is_in_the_test_above() -> None:
-    """A class with a `kind` and `parameters` in ppshw.terms is a term."""
+    """A class with a `kind` and `parameters` in ppshw.terms is a term: whoever writes one puts it into TERMS."""
     modules = [importlib.import_module(f"ppshw.terms.{m.name}") for m in pkgutil.iter_modules(ppshw.terms.__path__)]
     classes = {
         c
