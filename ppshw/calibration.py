@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 FORMAT = "ppshw calibration 1"
 # Sampled positions that are listed in full; a random campaign has one per visit and says so by its range.
 MOST_POSITIONS = 200
+# Metres, radians, newtons and what is made of them stay far below; beyond, squares would overflow.
+LARGEST = 1e9
 
 
 @dataclass(frozen=True)
@@ -172,9 +174,17 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, zlib.error) as exc:
         what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
         raise CalibrationError(f"{path}: damaged: {what}") from None
-    numbers = (calibration.theta, calibration.covariance, calibration.measuring_in_base)
-    if not all(np.isfinite(a).all() for a in numbers):
-        raise CalibrationError(f"{path}: damaged: holds values that are not finite numbers")
+    found = calibration
+    everything = {"terms": found.theta, "covariance": found.covariance, "measuring_in_base": found.measuring_in_base,
+                  "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
+                  "targets": found.machine.target_array}  # fmt: skip
+    for name, values in everything.items():
+        if not (np.abs(values) <= LARGEST).all():
+            wanted = f"finite numbers below {LARGEST:g}"
+            raise CalibrationError(f"{path}: damaged: {name} holds values that are not {wanted}")
+    turn = found.measuring_in_base[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or found.measuring_in_base[3].tolist() != [0, 0, 0, 1]:
+        raise CalibrationError(f"{path}: damaged: measuring_in_base is no rotation and displacement")
     return calibration
 
 

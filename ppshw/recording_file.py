@@ -134,6 +134,9 @@ class RecordingFile:
         try:
             header = self.columns()
             names = ", ".join(_sql_names(header))
+            there = {_quoted(row[1]) for row in self._db.execute("PRAGMA table_info(visits)")}
+            if lacking := set(_sql_names(header)) - there:
+                raise ValueError(f"no column {', '.join(sorted(lacking))}")  # SQLite would take the name for a text
             rows = tuple(self._db.execute(f"SELECT {names} FROM visits ORDER BY visit"))
         except (sqlite3.Error, KeyError, TypeError, ValueError, AttributeError) as exc:
             raise RecordingError(f"{self.path}: damaged: {exc}") from None
@@ -220,5 +223,9 @@ def _sql_names(columns: Sequence[str]) -> list[str]:
         while name.lower() in taken:
             name += f"#{k}"
         taken.add(name.lower())
-        out.append('"' + name.replace('"', '""') + '"')
+        out.append(_quoted(name))
     return out
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'

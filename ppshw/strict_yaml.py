@@ -191,6 +191,8 @@ def read_yaml(path: Path | str, error: type[BadInput]) -> Section:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise error(f"{path}: a folder, expected a file") from None
     except (OSError, UnicodeDecodeError) as exc:
         raise error(f"{path}: cannot be read as UTF-8 text ({_one_line(exc)})") from None
     try:

@@ -1,0 +1,481 @@
+"""Whatever is given and cannot be used: one line on stderr that says what, where and what was expected; exit code 2;
+nothing written. One test per case, through the command line."""
+
+# One case, one line, however long:
+# ruff: noqa: E501
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ppshw.calibration import content_digest
+from tests.contract.desk import contents, one_line, refused
+
+Spoil = Callable[[Path], None]
+PROGRAM = Path(sys.executable).with_name("ppshw")
+
+
+def put(text: str) -> Spoil:
+    return lambda path: path.write_text(text, encoding="utf-8") and None
+
+
+def swap(old: str, new: str, count: int = 1) -> Spoil:
+    def spoil(path: Path) -> None:
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new, count), encoding="utf-8")
+
+    return spoil
+
+
+def cut(share: float) -> Spoil:
+    return lambda path: path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)]) and None
+
+
+def fill(data: bytes) -> Spoil:
+    return lambda path: path.write_bytes(data) and None
+
+
+def folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+GARBAGE = bytes(range(256)) * 20
+FILES: dict[str, tuple[Spoil, str]] = {
+    "missing": (Path.unlink, "no such"),
+    "empty": (fill(b""), "is empty"),
+    "a folder": (folder, "a folder, expected a"),
+    "binary garbage": (fill(GARBAGE), ""),
+    "another encoding": (fill("name: größe".encode("latin-1")), "UTF-8"),
+}
+
+
+# --- machine files ---------------------------------------------------------------------------------------------------
+ONE_JOINT = "  - {name: NAME, type: revolute, axis: [0, 0, 1]}\n"
+MACHINES: dict[str, tuple[Spoil, str]] = {
+    "a key is missing": (swap("gravity: [0, 0, -9.80665]\n", ""), "machine.yaml:1: missing key 'gravity'"),
+    "a joint has no name": (swap("  - name: rail\n    type", "  - type"), ":4: missing key 'joints[0].name'"),
+    "no targets": (swap("  targets: {P1: [0.3, 0, 0], P2: [-0.2, 0.2, 0], P3: [-0.2, -0.2, 0.05]}\n", ""),
+                   "missing key 'tip.targets' (expected a mapping)"),
+    "no target": (swap("{P1: [0.3, 0, 0], P2: [-0.2, 0.2, 0], P3: [-0.2, -0.2, 0.05]}", "{}"), "at least one target"),
+    "an unknown key": (swap("mass: 120,", "mass: 120, colour: red,"), ":9: unknown key 'joints[0].link.colour' (known"),
+    "an unknown key at the top": (swap("name: cell\n", "name: cell\nowner: me\n"), ":2: unknown key 'owner'"),
+    "a text for a number": (swap("mass: 120", "mass: heavy"), "'joints[0].link.mass' has 'heavy', expected a number"),
+    "a yes for a number": (swap("mass: 120", "mass: yes"), "has True, expected a number"),
+    "a number for a text": (swap("name: cell", "name: 7"), "'name' is 7, expected a text"),
+    "a date for a text": (swap("name: cell", "name: 2026-11-05"), "'name' is datetime.date(2026, 11, 5), expected a text"),
+    "a list for a mapping": (swap("{mass: 120, com: [0, 0, 0.1]}", "[1, 2]"), "expected a mapping"),
+    "a mapping for a list": (swap("[1, 0, 0]", "{x: 1}"), "'joints[0].axis' is {'x': 1}, expected 3 numbers"),
+    "two numbers for three": (swap("xyz: [0, 0, 0.3]", "xyz: [0, 0.3]"), "is [0, 0.3], expected 3 numbers"),
+    "nan": (swap("lower: -0.8", "lower: .nan"), "'joints[0].limits.lower' has nan, expected a finite number"),
+    "nan as a word": (swap("lower: -0.8", "lower: nan"), "has nan, expected a finite number"),
+    "infinity": (swap("upper: 0.8", "upper: .inf"), "has inf, expected a finite number"),
+    "an absurd number": (swap("mass: 120", f"mass: 1{'0' * 400}"), "has a huge number, expected a finite number"),
+    "a negative mass": (swap("mass: 120", "mass: -120"), "is -120, expected at least 0"),
+    "a joint's name twice": (swap("name: turn", "name: rail"), ":11: joint name 'rail' is used twice"),
+    "a target's name twice": (swap("P2: [-0.2, 0.2, 0]", "P1: [-0.2, 0.2, 0]"), "duplicate key 'tip.targets.P1'"),
+    "a target that is a point": (swap("treatment:", "P1:"), "'P1' is both a target and a point"),
+    "a key twice": (swap("name: cell\n", "name: cell\nname: cell\n"), ":2: duplicate key 'name'"),
+    "a crooked axis": (swap("axis: [1, 0, 0]", "axis: [1, 1, 0]"), "has length 1.41421, expected a unit vector"),
+    "no axis": (swap("axis: [1, 0, 0]", "axis: [0, 0, 0]"), "has length 0, expected a unit vector"),
+    "an unknown type": (swap("type: prismatic", "type: linear"), "is 'linear', expected prismatic or revolute"),
+    "limits the wrong way": (swap("lower: -0.8, upper: 0.8", "lower: 0.8, upper: -0.8"), "0.8 is not below"),
+    "no speed": (swap("velocity: 0.2", "velocity: 0"), "'joints[0].limits.velocity' is 0, expected at least"),
+    "an unknown load": (swap("[Fz, Mx, My]", "[Fz, Mq]"), "'joints[0].elastic.loads' has 'Mq', expected Fx, Fy"),
+    "a load twice": (swap("[Fz, Mx, My]", "[Fz, Fz]"), "names 'Fz' twice"),
+    "varies is no flag": (swap("varies: false", "varies: 0"), "is 0, expected true or false"),
+    "no joints": (put("name: x\ngravity: [0, 0, -9.8]\njoints: []\ntip: {targets: {P: [0, 0, 0]}}\n"), "1 to 12"),
+    "thirteen joints": (
+        put("name: x\ngravity: [0, 0, -9.8]\njoints:\n" + "".join(ONE_JOINT.replace("NAME", f"j{k}") for k in range(13))
+            + "tip: {targets: {P: [0, 0, 0]}}\n"), "'joints' has 13 entries, expected 1 to 12"),
+    "a base that is neither": (swap("  position_sigma", "  base: guess\n  position_sigma"), "'tracker.base' is 'guess'"),
+    "targets neither known nor not": (swap("  position_sigma", "  targets: maybe\n  position_sigma"), "known or estimate"),
+    "no noise at all": (swap("2.0e-5", "0"), "'tracker.position_sigma' is 0"),
+    "a list at the top": (put("- 1\n- 2\n"), "expected a mapping at the top"),
+    "a word at the top": (put("machine\n"), "expected a mapping at the top"),
+    "a tab": (swap("  - name: rail", "\t- name: rail"), "not valid YAML"),
+    "an open bracket": (swap("[0, 0, -9.80665]", "[0, 0, -9.80665"), "not valid YAML"),
+    "a snake that bites itself": (swap("[0, 0, -9.80665]", "&a [*a, 0, 0]"), "'gravity' has"),
+    "brackets without end": (put("name: " + "[" * 5000), "not valid YAML (nested too deep)"),
+    "two documents": (put("name: a\n---\nname: b\n"), "not valid YAML"),
+    "cut off": (cut(0.6), ""),
+    **FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MACHINES)
+def test_a_machine_file_that_cannot_be_used(desk: Path, case: str) -> None:
+    spoil, expected = MACHINES[case]
+    spoil(desk / "machine.yaml")
+    line = refused(desk, "import", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.db")
+    assert f"{desk / 'machine.yaml'}" in line
+    assert expected in line
+
+
+# --- recordings ------------------------------------------------------------------------------------------------------
+def cell(line: int, column: str, value: str) -> Spoil:
+    """Another value in one cell; the header is line 1."""
+
+    def spoil(path: Path) -> None:
+        rows = [row.split(",") for row in path.read_text(encoding="utf-8").splitlines()]
+        rows[line - 1][rows[0].index(column)] = value
+        path.write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+
+    return spoil
+
+
+def column(name: str, value: str | None) -> Spoil:
+    """Another value in all of a column, or the column gone."""
+
+    def spoil(path: Path) -> None:
+        rows = [row.split(",") for row in path.read_text(encoding="utf-8").splitlines()]
+        for k in [k for k, found in enumerate(rows[0]) if found.startswith(name)][::-1]:
+            for row in rows[1 if value is not None else 0 :]:
+                row[k : k + 1] = [] if value is None else [value]
+        path.write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+
+    return spoil
+
+
+def both(first: Spoil, second: Spoil) -> Spoil:
+    def spoil(path: Path) -> None:
+        first(path)
+        second(path)
+
+    return spoil
+
+
+RECORDINGS: dict[str, tuple[Spoil, str]] = {
+    "a joint without column": (both(column("q_cmd_turn", None), column("q_turn", None)), "no column q_turn or q_cmd_turn"),
+    "no target": (column("P", None), "no column for any target of the machine, expected e.g. P1_x"),
+    "a coordinate without column": (column("P2_y", None), "column P2_y is missing"),
+    "half a wrench": (column("My", None), "column My is missing"),
+    "nan": (cell(5, "q_rail", "nan"), ":5: column q_rail: 'nan' is no finite number"),
+    "infinity": (cell(5, "P3_z", "-inf"), ":5: column P3_z: '-inf' is no finite number"),
+    "an absurd number": (cell(9, "Fx", "1e300"), ":9: column Fx: '1e300' is no finite number below 1e+09"),
+    "a word": (cell(7, "P1_x", "lost"), ":7: column P1_x: 'lost' is not a number"),
+    "a number that only Python reads": (cell(7, "Fz", "1_0"), ":7: column Fz: '1_0' is not a number"),
+    "no setpoint": (cell(4, "q_cmd_rail", ""), ":4: column q_cmd_rail: empty, expected a number"),
+    "no load": (cell(4, "Mz", ""), ":4: column Mz: empty, expected a number"),
+    "half a target": (cell(8, "P2_z", ""), ":8: column P2_z: empty while other coordinates of P2 are given"),
+    "a setpoint beyond its limit": (cell(12, "q_cmd_rail", "0.81"),
+                                    ":12: column q_cmd_rail: setpoint 0.81 is outside the limits -0.8 … 0.8"),
+    "time backwards": (cell(20, "time", "2026-03-02T06:00:00Z"), ":20: column time: 2026-03-02T06:00:00Z is"),
+    "a time that is none": (cell(3, "time", "yesterday"), ":3: column time: 'yesterday' is not an ISO 8601 time"),
+    "a month 13": (cell(3, "time", "2026-13-02T06:00:00Z"), ":3: column time:"),
+    "no time": (cell(3, "time", ""), ":3: column time: empty, expected an ISO 8601 time"),
+    "an approach from nowhere": (cell(6, "approach_turn", "2"), ":6: column approach_turn: 2, expected -1, 0 or 1"),
+    "a temperature in words": (cell(6, "temp_air_C", "warm"), ":6: column temp_air_C: 'warm' is not a number"),
+    "a column twice": (swap("q_cmd_turn", "q_cmd_rail"), ":1: column 5 is twice here: q_cmd_rail"),
+    "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
+    "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
+    "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
+    "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
+    "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),
+    "a zero byte": (cell(9, "load", "\0"), ":9: a zero byte, expected text"),
+    "only a header": (lambda p: put(p.read_text().split("\n")[0] + "\n")(p), "a header but no visit"),
+    "all targets lost": (column("P", ""), "not one target was measured: every cell of P1, P2, P3 is empty"),
+    "another machine's": (swap("_turn", "_yaw", 99), "is this a recording of machine 'cell'?"),
+    **FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", RECORDINGS)
+def test_a_csv_recording_that_cannot_be_used(desk: Path, case: str) -> None:
+    spoil, expected = RECORDINGS[case]
+    spoil(desk / "good.csv")
+    rec, machine = desk / "good.csv", ["--machine", desk / "machine.yaml"]
+    for words in (
+        ["import", rec, *machine, "--out", desk / "new.db"],
+        ["identify", rec, *machine, "--out", desk / "new.json"],
+        ["evaluate", rec, *machine, "--calibration", desk / "cal.json", "--json"],
+    ):
+        line = refused(desk, *words)
+        assert str(rec) in line
+        assert expected in line
+
+
+def sql(*statements: str) -> Spoil:
+    def spoil(path: Path) -> None:
+        db = sqlite3.connect(path)
+        for statement in statements:
+            db.execute(statement)
+        db.commit()
+        db.close()
+
+    return spoil
+
+
+def another_database(path: Path) -> None:
+    path.unlink()
+    sql("CREATE TABLE contacts (name TEXT)", "INSERT INTO contacts VALUES ('Ann')")(path)
+
+
+DATABASES: dict[str, tuple[Spoil, str]] = {
+    "cut off": (cut(0.5), "not a recording, or cut off"),
+    "cut off in its header": (cut(0.001), ""),
+    "garbage behind the header": (fill(b"SQLite format 3\0" + GARBAGE), "not a recording, or cut off"),
+    "another database": (another_database, "not a recording"),
+    "another format": (sql("UPDATE meta SET value = 'x 2' WHERE key = 'format'"), "expected 'ppshw recording 1', found 'x 2'"),
+    "no columns": (sql("DELETE FROM meta WHERE key = 'columns'"), "damaged: 'columns'"),
+    "columns in shreds": (sql("UPDATE meta SET value = '[\"q' WHERE key = 'columns'"), "damaged"),
+    "columns that are not there": (sql("UPDATE meta SET value = '[\"z\"]' WHERE key = 'columns'"), "damaged"),
+    "columns of numbers": (sql("UPDATE meta SET value = '[1, 2]' WHERE key = 'columns'"), "damaged"),
+    "a cell of bytes": (sql("UPDATE visits SET load = x'ff00' WHERE visit = 3"), "visit 3 has a cell that is no text"),
+    "a cell in no encoding": (sql("UPDATE visits SET load = CAST(x'ff41' AS TEXT) WHERE visit = 3"), "damaged"),
+    "no visit": (sql("DELETE FROM visits"), "the recording holds no visit yet"),
+    "a word for a number": (sql("UPDATE visits SET q_rail = 'x' WHERE visit = 4"), ":4: column q_rail: 'x' is not a number"),
+    "beyond a limit": (sql("UPDATE visits SET q_cmd_turn = '1.6' WHERE visit = 4"), "outside the limits -1.5 … 1.5"),
+    "another machine's": (sql("UPDATE meta SET value = 'couch' WHERE key = 'machine_name'"),
+                          "measured on machine 'couch', not on 'cell'"),
+    "missing": FILES["missing"],
+    "empty": FILES["empty"],
+    "a folder": FILES["a folder"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DATABASES)
+def test_a_recording_that_cannot_be_used(desk: Path, case: str) -> None:
+    spoil, expected = DATABASES[case]
+    spoil(desk / "good.db")
+    rec, machine = desk / "good.db", ["--machine", desk / "machine.yaml"]
+    for words in (
+        ["identify", rec, *machine, "--out", desk / "new.json"],
+        ["evaluate", rec, *machine, "--json"],
+    ):
+        line = refused(desk, *words)
+        assert str(rec) in line
+        assert expected in line
+
+
+@pytest.mark.parametrize("case", ["cut off", "another database", "no visit", "missing", "empty", "a folder"])
+def test_nothing_is_exported_from_a_broken_recording(desk: Path, case: str) -> None:
+    DATABASES[case][0](desk / "good.db")
+    assert str(desk / "good.db") in refused(desk, "export", desk / "good.db", desk / "new.csv")
+
+
+# --- campaigns -------------------------------------------------------------------------------------------------------
+CAMPAIGNS: dict[str, tuple[Spoil, str]] = {
+    "a key is missing": (swap("name: little\n", ""), ":1: missing key 'name'"),
+    "no steps": (swap("steps:", "stops:"), "'st"),
+    "an unknown key": (swap("seed: 3", "sede: 3"), ":2: unknown key 'sede'"),
+    "an unknown key in a step": (swap("count: 5", "count: 5, speed: 9"), ":8: unknown key 'steps[0].speed'"),
+    "a wrong type": (swap("settle_s: 1", "settle_s: long"), "'settle_s' has 'long', expected a number"),
+    "half a count": (swap("count: 5", "count: 5.5"), "'steps[0].count' is 5.5, expected a whole number"),
+    "nan": (swap("settle_s: 1", "settle_s: .nan"), ":3: 'settle_s' has nan, expected a finite number"),
+    "a negative time": (swap("settle_s: 1", "settle_s: -1"), "'settle_s' is -1"),
+    "nothing to measure": (swap("count: 5", "count: 0"), "'steps[0].count' is 0"),
+    "a load's name twice": (swap("name: box", "name: empty"), "empty"),
+    "an unknown load": (swap("loads: [empty]", "loads: [full]"), ":8: 'steps[0].loads' has 'full', expected empty, box"),
+    "an unknown joint": (swap("joint: rail", "joint: lift"), "no joint 'lift' (there are: rail, turn)"),
+    "an unknown target": (swap("count: 3", "count: 3, targets: [P9]"), "no target 'P9' (there are: P1, P2, P3, treatment)"),
+    "an unknown kind": (swap("kind: random", "kind: wild"), "is 'wild', expected poses or sweep or random"),
+    "a joint out of limits": (swap("rail: 0.2, turn: 0.5", "rail: 0.2, turn: 1.51"),
+                              ":10: step poses: joint turn at 1.51 rad is outside its limits -1.5 … 1.5"),
+    "a sweep out of limits": (swap("count: 5", "count: 5, from: -0.9"), "joint rail at -0.9 m is outside its limits"),
+    "home out of limits": (swap("seed: 3", "home: {turn: 1.6}"), "joint turn at 1.6 rad is outside its limits -1.5 … 1.5"),
+    "a nan in a pose": (swap("rail: 0.2", "rail: .nan"), "has nan, expected a finite number"),
+    "cut off": (cut(0.8), ""),
+    **FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CAMPAIGNS)
+def test_a_campaign_that_cannot_be_run(desk: Path, case: str) -> None:
+    spoil, expected = CAMPAIGNS[case]
+    spoil(desk / "little.yaml")
+    line = refused(desk, "plan", desk / "little.yaml", "--machine", desk / "machine.yaml", "--json")
+    assert str(desk / "little.yaml") in line
+    assert expected in line
+    assert line == refused(desk, "run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db")
+
+
+def test_a_machine_without_limits_is_not_moved(desk: Path) -> None:
+    swap("    limits: {lower: -1.5, upper: 1.5, velocity: 0.5, acceleration: 1.0}\n", "")(desk / "machine.yaml")
+    line = refused(desk, "plan", desk / "little.yaml", "--machine", desk / "machine.yaml")
+    assert "joint turn has no limits" in line
+
+
+# --- sites -----------------------------------------------------------------------------------------------------------
+SITES: dict[str, tuple[Spoil, str]] = {
+    "a key is missing": (swap("name: desk\n", ""), ":1: missing key 'name'"),
+    "an axis is missing": (swap("  turn: {node: 2, counts_per_unit: 2.0e6}\n", ""), "missing key 'axes.turn'"),
+    "an axis too many": (swap("  turn: {", "  tilt: {node: 9, counts_per_unit: 1}\n  turn: {"), "unknown key 'axes.tilt'"),
+    "an unknown key": (swap("node: 1,", "node: 1, colour: red,"), ":7: unknown key 'axes.rail.colour'"),
+    "a wrong type": (swap("node: 1,", "node: one,"), "'axes.rail.node' is 'one', expected a whole number"),
+    "nan": (swap("1.0e6", ".nan"), "'axes.rail.counts_per_unit' has nan, expected a finite number"),
+    "one node for two axes": (swap("node: 2", "node: 1"), "node 1 is given to two axes"),
+    "faster than the machine": (swap("velocity: 0.1", "velocity: 0.3"), "is 0.3, the machine file allows 0.2"),
+    "a direction of 0": (swap("node: 2,", "node: 2, direction: 0,"), "direction"),
+    "no bus": (swap("  bus: {interface: virtual, channel: desk}\n", ""), "missing key 'can.bus'"),
+    "an unknown protocol": (swap("protocol: geocom", "protocol: emscon"), "'tracker.protocol' is 'emscon', expected geocom"),
+    "no port": (swap("  port: socket://127.0.0.1:9\n", ""), "missing key 'tracker.port'"),
+    "air on another planet": (swap("pressure_hPa: 1005", "pressure_hPa: 6"), "is 6, expected between 500 and 1100"),
+    "cut off": (cut(0.5), ""),
+    **FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SITES)
+def test_a_site_that_cannot_be_opened(desk: Path, case: str) -> None:
+    spoil, expected = SITES[case]
+    spoil(desk / "site.yaml")
+    line = refused(desk, "check", "--site", desk / "site.yaml", "--json")
+    assert str(desk / "site.yaml") in line
+    assert expected in line
+    assert line == refused(desk, "run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db")
+
+
+def test_a_site_whose_machine_file_is_missing_names_that_file(desk: Path) -> None:
+    swap("machine: machine.yaml", "machine: other.yaml")(desk / "site.yaml")
+    assert f"{desk / 'other.yaml'}: no such file" in refused(desk, "check", "--site", desk / "site.yaml")
+
+
+# --- calibrations ----------------------------------------------------------------------------------------------------
+def edit(change: Callable[[dict[str, Any]], Any], sign: bool = True) -> Spoil:
+    """Change what the file says; signed, as if it had been written so."""
+
+    def spoil(path: Path) -> None:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        change(data)
+        if sign:
+            data["content_sha256"] = content_digest(data)
+        path.write_text(json.dumps(data), encoding="utf-8")
+
+    return spoil
+
+
+CALIBRATIONS: dict[str, tuple[Spoil, str]] = {
+    "cut off": (cut(0.7), "not valid JSON, or cut off"),
+    "not JSON": (put("format: ppshw"), "not valid JSON"),
+    "a list": (put("[1, 2]"), "expected format 'ppshw calibration 1', found 'list'"),
+    "another format": (edit(lambda d: d.update(format="x")), "expected format 'ppshw calibration 1', found 'x'"),
+    "another machine's": (edit(lambda d: d["provenance"].update(machine_name="couch", machine_sha256="0" * 64)),
+                          "made for machine 'couch' (file 000000000000), not for 'cell'"),
+    "an edited value": (edit(lambda d: d["terms"][0]["parameters"][0].update(value=0.5), sign=False), "edited by hand?"),
+    "no provenance": (edit(lambda d: d.pop("provenance")), "damaged: 'provenance' is missing"),
+    "no terms": (edit(lambda d: d.pop("terms")), "damaged: 'terms' is missing"),
+    "an unknown term": (edit(lambda d: d["terms"][0].update(kind="magic")), "damaged: unknown term 'magic'"),
+    "a parameter short": (edit(lambda d: d["terms"][0]["parameters"].pop()), "damaged:"),
+    "a value in words": (edit(lambda d: d["terms"][0]["parameters"][0].update(value="much")), "damaged:"),
+    "nan": (edit(lambda d: d["terms"][0]["parameters"][0].update(value=float("nan"))), "not finite numbers"),
+    "an absurd value": (edit(lambda d: d["terms"][0]["parameters"][0].update(value=1e300)), "terms holds values that are not finite numbers below 1e+09"),
+    "nan for a limit": (edit(lambda d: d["valid"]["joints"].update(rail=[float("nan"), 1.0])), "not finite numbers"),
+    "no covariance": (edit(lambda d: d["covariance"].update(data="")), "damaged:"),
+    "covariance in shreds": (edit(lambda d: d["covariance"].update(data="eJwDAAAAAAE=AAAA")), "damaged:"),
+    "a joint without range": (edit(lambda d: d["valid"]["joints"].pop("rail")), "damaged: 'rail' is missing"),
+    "a frame of three rows": (edit(lambda d: d["measuring_in_base"].pop()), "damaged:"),
+    "no frame at all": (edit(lambda d: d.update(measuring_in_base=[[0.0] * 4] * 4)), "measuring_in_base"),
+    **FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CALIBRATIONS)
+def test_a_calibration_that_cannot_be_used(desk: Path, case: str) -> None:
+    spoil, expected = CALIBRATIONS[case]
+    spoil(desk / "cal.json")
+    given = ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json"]
+    for words in (
+        ["evaluate", desk / "good.csv", *given, "--json"],
+        ["compensate", *given, "--joints", "0 0"],
+        ["run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db", *given[2:]],
+        ["move", *given, "--joints", "0 0", "--site", desk / "site.yaml"],
+    ):
+        line = refused(desk, *words)
+        assert str(desk / "cal.json") in line
+        assert expected in line
+
+
+# --- what is asked for -----------------------------------------------------------------------------------------------
+ASKED: dict[str, tuple[str, str]] = {
+    "no command": ("", "the following arguments are required: COMMAND"),
+    "an unknown command": ("dance", "invalid choice: 'dance'"),
+    "an unknown option": ("plan little.yaml --machine machine.yaml --quickly", "unrecognized arguments: --quickly"),
+    "no machine": ("plan little.yaml", "arguments are required: --machine"),
+    "a campaign that is neither file nor name": ("plan waltz --machine machine.yaml", "waltz"),
+    "a pose of five": ("compensate CAL --pose 1 2 3 4 5", "--pose: '1 2 3 4 5' holds 5 values, expected 6 finite numbers"),
+    "a pose in words": ("compensate CAL --pose here", "--pose: 'here' holds something that is no number, expected 6"),
+    "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "expected 6 finite numbers"),
+    "a wrench of two": ("compensate CAL --joints 0 0 --wrench 1 2", "--wrench: '1 2' holds 2 values, expected 6"),
+    "three joints of two": ("compensate CAL --joints 0,0,0", "--joints: '0,0,0' holds 3 values, expected 2"),
+    "near three of two": ("compensate CAL --pose 0 0 0 0 0 0 --near 1 2 3", "--near: '1 2 3' holds 3 values, expected 2"),
+    "pose and joints": ("compensate CAL --pose 0 --joints 0", "not allowed with argument --pose"),
+    "neither pose nor joints": ("compensate CAL", "one of the arguments --pose --joints is required"),
+    "an unknown point": ("compensate CAL --joints 0 0 --point nose",
+                         "--point: no point named 'nose' in machine.yaml, expected one of tip, treatment, P1, P2, P3"),
+    "a negative bound": ("compensate CAL --joints 0 0 --max-travel -1", "argument --max-travel: invalid positive number"),
+    "a bound of nan": ("compensate CAL --joints 0 0 --max-angle nan", "argument --max-angle: invalid positive number"),
+    "a seed in words": ("demo --out d --seed luck", "argument --seed: invalid seed"),
+    "a negative seed": ("demo --out d --seed -1", "argument --seed: invalid seed"),
+    "a machine without treatment": ("demo --out d --machine plain.yaml", "plain.yaml: the demo needs a point named 'treatment'"),
+    "a demo on another machine": ("demo --out d --machine machine.yaml", "no joint 'lateral' (there are: rail, turn)"),
+    "a demo into a file": ("demo --out good.csv", "good.csv: exists and is no folder"),
+    "a demo over recordings": ("demo --out .", "holds campaign.db, which no demo made; expected another folder"),
+    "a speed of nothing": ("simulate --machine machine.yaml --site-out s.yaml --speed 0", "--speed: invalid positive number"),
+    "a site file nowhere": ("simulate --machine machine.yaml --site-out no/s.yaml", "no/s.yaml: the folder no does not exist"),
+    "a recording nowhere": ("import good.csv --machine machine.yaml --out no/new.db", "the folder no does not exist"),
+    "a table nowhere": ("export good.db no/new.csv", "no/new.csv: the folder no does not exist"),
+    "a calibration nowhere": ("identify good.csv --machine machine.yaml --out no/c.json", "the folder no does not exist"),
+    "a run nowhere": ("run little.yaml --site site.yaml --out no/new.db", "no/new.db: the folder no does not exist"),
+    "an import over a file": ("import good.csv --machine machine.yaml --out good.db", "good.db: exists already"),
+    "an import onto itself": ("import good.csv --machine machine.yaml --out good.csv", "good.csv: is what is read here"),
+    "an export onto itself": ("export good.db good.db", "good.db: is what is read here"),
+    "an export over a recording": ("export good.db campaign.db", "campaign.db: is a recording already"),
+    "an export into a folder": ("export good.db .", "a folder, expected the name of a file"),
+    "a calibration over its recording": ("identify good.csv --machine machine.yaml --out good.csv", "is what is read here"),
+    "a calibration over its machine": ("identify good.csv --machine machine.yaml --out machine.yaml", "is what is read here"),
+    "a calibration into a folder": ("identify good.csv --machine machine.yaml --out .", "a folder, expected the name"),
+    "a run into a table": ("run little.yaml --site site.yaml --out good.csv", "good.csv: not a recording"),
+    "a run into another campaign": ("run little.yaml --site site.yaml --out good.db", "good.db: was begun with another"),
+    "a report of nothing": ("report no", "no: no such folder"),
+    "a paper's method without its campaign": ("identify good.csv --machine machine.yaml --method p --out c", "invalid choice"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ASKED)
+def test_a_command_that_cannot_be_carried_out(desk: Path, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    command, expected = ASKED[case]
+    monkeypatch.chdir(desk)
+    shutil.copyfile("good.db", "campaign.db")
+    shutil.copyfile("machine.yaml", "plain.yaml")
+    swap("  points: {treatment: [0.4, 0, 0.1]}\n", "")(desk / "plain.yaml")
+    words = command.replace("CAL", "--machine machine.yaml --calibration cal.json").split()
+    assert expected in refused(desk, *words)
+
+
+def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr("ppshw.recording_file.RecordingFile.append_rows", full)
+    words = ["import", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.db"]
+    assert "disk is full" in refused(desk, *words, code=1)
+
+
+# --- the program itself ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file\n"),
+        ("identify bad.csv --machine machine.yaml --out c.json", "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside"),
+        ("check --site site.yaml", "ppshw: "),
+    ],
+)
+def test_the_program_says_one_line_and_nothing_of_its_insides(desk: Path, words: str, expected: str) -> None:
+    shutil.copyfile(desk / "good.csv", desk / "bad.csv")
+    RECORDINGS["a setpoint beyond its limit"][0](desk / "bad.csv")
+    before = contents(desk)
+    done = subprocess.run([PROGRAM, *words.split()], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (1 if words.startswith("check") else 2, "")
+    assert one_line(done.stderr)
+    assert expected in done.stderr
+    assert contents(desk) == before
