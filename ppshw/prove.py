@@ -1,0 +1,213 @@
+"""`ppshw prove`: concealed cases are generated, sealed, diagnosed, opened, scored; a table says how often it was right.
+
+Every case runs in a process of its own and leaves its score in a file. A process that dies costs its case and nothing
+else, and the same command again goes on where it stopped. The generator is another program
+(`python -m simulators.concealed`): nothing of it is imported here, and what it sealed is not read before the answer
+lies on disk.
+
+    DIR/cases/NAME/    machine.yaml, recording.csv, held_out.csv, seal.sha256     what the diagnosis is given
+    DIR/seals.txt      the hashes, written before any diagnosis
+    DIR/answers/NAME/  answer.json, calibration.json                              what it said
+    DIR/sealed/NAME/   truth.json                                                 opened after that
+    DIR/scores/NAME.json, DIR/prove.json, DIR/prove.md, DIR/prove.html
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ppshw.errors import BadInput, PpshwError
+from ppshw.prove_page import write_page
+from ppshw.prove_score import Json, read_answer, score_case
+from ppshw.prove_table import summarise
+
+# What an answer needs: (case folder, answer folder) → the contract's JSON; it may leave calibration.json there.
+Diagnoser = Callable[[Path, Path], Json]
+Say = Callable[[str, int, int], None]
+TIME_LIMIT_S = 900.0
+EFFECTS = (
+    "backlash", "friction_hysteresis", "thermal_growth", "drift", "tracker_scale", "periodic_transmission",
+    "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
+    "missing_compliance", "target_moved", "outliers", "unsettled",
+)  # fmt: skip
+SIZES = (0.3, 0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One case to be made: the arguments of the generator."""
+
+    seed: int
+    machine: str
+    effect: str
+    size: float
+    visits: int = 600
+
+    @property
+    def name(self) -> str:
+        """Says nothing of what is concealed."""
+        return f"{self.seed}"
+
+    def command(self, case: Path, sealed: Path) -> list[str]:
+        return [
+            sys.executable, "-m", "simulators.concealed", "--seed", str(self.seed), "--machine", self.machine,
+            "--effect", self.effect, "--size", str(self.size), "--visits", str(self.visits),
+            "--out", str(case), "--sealed", str(sealed),
+        ]  # fmt: skip
+
+
+def deck(count: int, seed: int, visits: int = 600) -> list[Spec]:
+    """The first `count` cards of an endless shuffled deck; the same for the same seed, however many are asked for.
+
+    One round: every effect at every size, 20 nulls, 12 pairs and 8 unknown effects at the repeatability's size; a
+    quarter of it on an arm.
+    """
+    rng = np.random.default_rng([seed, 4])
+    cards: list[Spec] = []
+    while len(cards) < count:
+        one = [(effect, size) for effect in EFFECTS for size in SIZES]
+        one += [("null", 0.0)] * 20 + [("pair", 1.0)] * 12 + [("unknown", 1.0)] * 8
+        for k in rng.permutation(len(one)):
+            machine = "arm6" if rng.random() < 0.25 else "pps"
+            effect, size = one[k]
+            cards.append(Spec(1000 * seed + len(cards), machine, effect, size, visits))
+    return cards[:count]
+
+
+def run_prove(
+    out: Path,
+    cases: Sequence[Spec],
+    diagnoser: Diagnoser | None = None,
+    workers: int = 2,
+    say: Say = lambda name, done, total: None,
+) -> Json:
+    """Run all cases that have no score yet and write the table; returns what prove.json holds.
+
+    diagnoser  `ppshw diagnose` by default; must be importable by name, since it runs in another process
+    workers    processes at a time; 0: all in this one, for tests and debuggers
+    """
+    for folder in ("cases", "answers", "sealed", "scores"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    if len({spec.name for spec in cases}) < len(cases):
+        raise BadInput(f"{out}: two cases of one seed, expected each once")
+    answers = diagnoser or ppshw_diagnose
+    lost: dict[str, str] = {}
+    for done, (spec, trouble) in enumerate(_finished(out, cases, answers, workers), start=1):
+        if trouble:
+            lost[spec.name] = trouble
+        say("prove", done, len(cases))
+    scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
+    document = {"cases": len(cases), "lost": lost, **summarise(scores)}
+    _write(out / "prove.json", json.dumps(document, indent=1))
+    write_page(out, document, scores)
+    return document
+
+
+def _finished(
+    out: Path, cases: Sequence[Spec], diagnoser: Diagnoser, workers: int
+) -> Iterator[tuple[Spec, str]]:
+    """Cases as they are done, with what went wrong, if anything did."""
+    if workers == 0:
+        for spec in cases:
+            yield spec, _guarded(out, spec, diagnoser)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = {pool.submit(_in_a_process, out, spec, diagnoser): spec for spec in cases}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+
+
+def _in_a_process(out: Path, spec: Spec, diagnoser: Diagnoser) -> str:
+    process = multiprocessing.get_context("spawn").Process(target=_worker, args=(out, spec, diagnoser))
+    process.start()
+    process.join(TIME_LIMIT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+        return f"stopped after {TIME_LIMIT_S:g} s"
+    if process.exitcode == 0:
+        return ""
+    trouble = out / "scores" / f"{spec.name}.lost"
+    return trouble.read_text() if trouble.exists() else f"its process ended with {process.exitcode}"
+
+
+def _worker(out: Path, spec: Spec, diagnoser: Diagnoser) -> None:
+    trouble = _guarded(out, spec, diagnoser)
+    note = out / "scores" / f"{spec.name}.lost"
+    note.unlink(missing_ok=True)
+    if trouble:
+        note.write_text(trouble, encoding="utf-8")
+        sys.exit(1)
+
+
+def _guarded(out: Path, spec: Spec, diagnoser: Diagnoser) -> str:
+    """Run one case; a complaint of ours is the case's result, anything else is a bug and shall be seen as one."""
+    try:
+        run_case(out, spec, diagnoser)
+    except PpshwError as problem:
+        return str(problem)
+    return ""
+
+
+def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
+    """Generate, publish the seal, diagnose, open, score: the whole life of one case. Returns its score's file."""
+    score = out / "scores" / f"{spec.name}.json"
+    if score.exists():
+        if json.loads(score.read_text())["spec"] != asdict(spec):
+            raise BadInput(f"{score}: the score of another case, expected {asdict(spec)}")
+        return score
+    case, answers, sealed = (out / part / spec.name for part in ("cases", "answers", "sealed"))
+    made = subprocess.run(spec.command(case, sealed), capture_output=True, text=True, check=False)
+    if made.returncode != 0:
+        raise BadInput(
+            f"case {spec.name}: {made.stderr.strip() or f'the generator ended with {made.returncode}'}"
+        )
+    with (out / "seals.txt").open("a", encoding="utf-8") as file:  # one short line: appended whole
+        file.write(f"{spec.name} {made.stdout.strip()} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")
+    answers.mkdir(parents=True, exist_ok=True)
+    began = time.perf_counter()
+    answer = diagnoser(case, answers)
+    seconds = time.perf_counter() - began
+    _write(answers / "answer.json", json.dumps(answer, indent=1))
+    found = score_case(case, sealed, answer, answers / "calibration.json", seconds)
+    _write(score, json.dumps({"spec": asdict(spec), **found}, indent=1))
+    return score
+
+
+def ppshw_diagnose(case: Path, answers: Path) -> Json:
+    """The command itself, as a user would run it, on what is in the case's folder."""
+    said = answers / "said.json"
+    command = [
+        sys.executable, "-m", "ppshw.cli", "diagnose", str(case / "recording.csv"), "--machine",
+        str(case / "machine.yaml"), "--json", str(said), "--out", str(answers / "calibration.json"),
+    ]  # fmt: skip
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    if run.returncode != 0:
+        raise PpshwError(f"case {case.name}: diagnose ended with {run.returncode}: {run.stderr.strip()}")
+    return read_answer(said)
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
+
+
+def sentences(document: dict[str, Any]) -> str:
+    """What the command prints."""
+    lines = [f"{document['cases']} cases, {len(document['lost'])} lost"]
+    lines += [f"  case {name}: {why}" for name, why in document["lost"].items()]
+    lines += [f"  {bar['met']:4} {bar['what']:52} {bar['text']}" for bar in document["bars"]]
+    return "\n".join(lines)

@@ -1,0 +1,265 @@
+"""One concealed case, opened and scored: was it found, named and located; what could have been found; what was gained.
+
+The bound. The true effect moves the reflectors by a field f, known from the opened seal. With the true covariance of
+the noise whitened away and the base model's parameters free within their priors,
+
+    λ = fᵀ (Σ + X Λ Xᵀ)⁻¹ f          X (N·3T, p) design of the base model, Λ its prior variances, Σ the noise
+
+is the noncentrality that is left for a test of exactly this form; with Λ → ∞ it becomes the projection's, given beside
+it. An F test of the true form, one degree of freedom, family-wise over CLASSES names, then has the power
+
+    P(F'(1, ν; λ) > F(1, ν)₁₋α),     α = 0.05 / CLASSES                    docs/prove.md
+
+Nobody who does not know the form beforehand can do better.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import f as f_distribution
+from scipy.stats import ncf
+
+from ppshw.calibration import Calibration, load_calibration
+from ppshw.errors import BadInput, PpshwError
+from ppshw.evaluation import figures, residuals
+from ppshw.identification import identify
+from ppshw.identification.joint import Estimate
+from ppshw.kinematics import frames, point_jacobian, point_positions
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
+from ppshw.terms import Situation
+
+Array = NDArray[np.float64]
+CLASSES = 35  # names that compete for a finding: the effects, times the joints they may sit in, roughly
+ATTAINABLE = 0.02  # below it, the share that was realised of an improvement is a share of nothing
+NOISE_EFFECTS = ("outliers", "unsettled")  # scatter, not bias: the bound does not apply
+Json = dict[str, Any]
+
+
+class SealBroken(PpshwError):
+    """The truth is not the one whose hash was published before the diagnosis."""
+
+
+def open_seal(case: Path, sealed: Path) -> Json:
+    """The truth, if it still is the one that was sealed. Raises SealBroken when it is not."""
+    published = (case / "seal.sha256").read_text(encoding="utf-8").strip()
+    text = (sealed / "truth.json").read_bytes()
+    found = hashlib.sha256(text).hexdigest()
+    if found != published:
+        raise SealBroken(f"{sealed / 'truth.json'}: hash {found[:12]}, but {published[:12]} was published")
+    truth: Json = json.loads(text)
+    return truth
+
+
+def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None, seconds: float) -> Json:
+    """Everything the table wants to know of one case.
+
+    answer       what `diagnose` said (contract §4)
+    calibration  the extended calibration that it wrote, where it did
+    """
+    truth = open_seal(case, sealed)
+    machine = load_machine(case / "machine.yaml")
+    recording = load_recording(case / "recording.csv", machine)
+    held_out = case / "held_out.csv"
+    later = load_recording(held_out, machine) if held_out.exists() else None
+    fields = [1e-9 * np.array(e["field_nm"], dtype=float) for e in truth["effects"]]
+    base = identify(machine, recording)
+    strengths = [bound(machine, recording, base, field[: len(recording)], truth) for field in fields]
+    told = [{k: v for k, v in e.items() if k != "field_nm"} for e in truth["effects"]]
+    for e, strength in zip(told, strengths, strict=True):
+        e.update(strength if e["effect"] not in NOISE_EFFECTS else dict.fromkeys(strength))
+    predictable = not any(e["effect"] in NOISE_EFFECTS for e in told)
+    gained = None
+    if later is not None and predictable:
+        gained = held_out_gain(machine, recording, later, base, fields, calibration)
+    return {
+        **{k: truth[k] for k in ("seed", "machine", "asked", "size", "repeatability_rms_mm")},
+        "visits": len(recording),
+        "truth": told,
+        "answer": answer,
+        **judge(told, answer),
+        "held_out": gained,
+        "seconds": round(seconds, 2),
+    }
+
+
+# --- was it right? ------------------------------------------------------------------------------------------------
+def judge(truth: Sequence[Json], answer: Json) -> Json:
+    """Compare what was said with what there was.
+
+    returns per true effect (a list each, in the truth's order)
+        named       a finding has its name;       joint_right   and the right joint (None where it was not named)
+        in_aliases  a finding, or one of its alternatives, has its name
+        located     the joint or one of the columns it depends on was pointed at, whatever the name
+    and of the whole
+        detected    something was found;          false_alarm   although there was nothing
+        wrong       names that nothing true bears, not even a fair neighbour
+        unknown_ok  all that no catalogue holds was called unexplained, or by a fair neighbour's name; None without such
+        weights     [weight, was it right] of every name offered
+    """
+    findings = list(answer.get("findings") or [])
+    unexplained = answer.get("unexplained")
+    names = {e["effect"] for e in truth}
+    fair = names.union(*(e["neighbours"] for e in truth)) if truth else set()
+    strangers = [e for e in truth if not e["known"]]
+    named, joint_right, in_aliases = [], [], []
+    for e in truth:
+        mine = [f for f in findings if f["effect"] == e["effect"]]
+        offered = [a for f in findings for a in (f, *(f.get("alternatives") or []))]
+        named.append(bool(mine))
+        joint_right.append(any(_joint_agrees(e, f) for f in mine) if mine else None)
+        in_aliases.append(any(a["effect"] == e["effect"] for a in offered))
+    detected = bool(findings) or unexplained is not None or answer["verdict"] != "consistent"
+    return {
+        "verdict": answer["verdict"],
+        "detected": detected,
+        "false_alarm": not truth and detected,
+        "named": named,
+        "joint_right": joint_right,
+        "in_aliases": in_aliases,
+        "located": [_located(e, findings, unexplained) for e in truth],
+        "wrong": sorted({f["effect"] for f in findings} - fair),
+        "unknown_ok": all(_unknown_ok(e, findings, answer) for e in strangers) if strangers else None,
+        "weights": _weights(truth, findings),
+    }
+
+
+def _joint_agrees(e: Json, finding: Mapping[str, Any]) -> bool:
+    """Effects that belong to no joint want null, or the joint that the truth calls a fair answer."""
+    said = finding.get("joint")
+    return bool(said == e["joint"] or said in e["also"])
+
+
+def _located(e: Json, findings: Sequence[Mapping[str, Any]], unexplained: Mapping[str, Any] | None) -> bool:
+    joints = {e["joint"], *e["also"]} - {None}
+    columns = set(e["covariates"]) | {f"q_{j}" for j in joints} | {f"approach_{j}" for j in joints}
+    if unexplained and columns & set(unexplained.get("covariates") or ()):
+        return True
+    return any(f.get("joint") in joints or f.get("covariate") in columns for f in findings)
+
+
+def _unknown_ok(e: Json, findings: Sequence[Mapping[str, Any]], answer: Json) -> bool:
+    neighbour = any(f["effect"] in e["neighbours"] for f in findings)
+    return answer.get("unexplained") is not None or answer["verdict"] == "unexplained" or neighbour
+
+
+def _weights(truth: Sequence[Json], findings: Sequence[Mapping[str, Any]]) -> list[list[float | bool]]:
+    out: list[list[float | bool]] = []
+    for f in findings:
+        for offered in (f, *(f.get("alternatives") or [])):
+            right = any(e["effect"] == offered["effect"] and _joint_agrees(e, offered) for e in truth)
+            if offered.get("weight") is not None:
+                out.append([float(offered["weight"]), right])
+    return out
+
+
+# --- what could have been found -----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _White:
+    """Design (R, p) and field (R,) of all readings, the true noise whitened to one; prior (p,) standard deviations."""
+
+    design: Array
+    field: Array
+    prior: Array
+
+
+def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> Json:
+    """How strongly the recording shows the true form once the base model has had its share.
+
+    field    (N, T, 3) how the effect moves the reflectors [m]
+    returns  sqrt_lambda, sqrt_lambda_free (no priors), share_visible (of fᵀΣ⁻¹f), power
+    """
+    white = _whiten(machine, recording, base, field, truth)
+    gram, moment = white.design.T @ white.design, white.design.T @ white.field
+    power = float(white.field @ white.field)
+    # fᵀ(I + XΛXᵀ)⁻¹f = fᵀf − fᵀX(Λ⁻¹ + XᵀX)⁻¹Xᵀf, in parameters scaled by their priors
+    scaled = white.prior[:, None] * gram * white.prior
+    scaled[np.diag_indices_from(scaled)] += 1.0
+    along = white.prior * moment
+    left = power - float(along @ cho_solve(cho_factor(scaled), along))
+    length = np.linalg.norm(white.design, axis=0)
+    unit = white.design / np.where(length > 0, length, 1.0)
+    rest = white.field - unit @ np.linalg.lstsq(unit, white.field, rcond=1e-9)[0]
+    freedom = max(
+        1.0, white.field.size - float(np.trace(np.linalg.solve(scaled, scaled - np.eye(len(scaled)))))
+    )
+    strength = max(0.0, left)
+    critical = f_distribution.isf(0.05 / CLASSES, 1, freedom)
+    return {
+        "sqrt_lambda": float(np.sqrt(strength)),
+        "sqrt_lambda_free": float(np.linalg.norm(rest)),
+        "share_visible": strength / power if power > 0 else 0.0,
+        "power": float(ncf.sf(critical, 1, freedom, strength)),
+    }
+
+
+def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> _White:
+    """The noise as it was drawn: every link's scatter through the nominal Jacobian, and the instrument's."""
+    situation, seen = Situation.of(recording), recording.seen
+    chain = frames(machine, recording.q)
+    where = point_positions(machine, recording.q, machine.target_array)
+    jacobian = point_jacobian(chain, where)[:, :, :, 1:]  # (N, T, 3, n, 6)
+    loose = jacobian * np.array(truth["scatter"])
+    count, width = len(recording), 3 * seen.shape[1]
+    loose = loose.reshape(count, width, -1)
+    covariance = loose @ np.swapaxes(loose, 1, 2) + truth["instrument_sigma"] ** 2 * np.eye(width)
+    lower = np.linalg.cholesky(covariance)
+    design = base.model.linearise(situation, base.theta).design.reshape(count, width, -1)
+    both = np.concatenate([design, field.reshape(count, width, 1)], axis=2)
+    white = np.linalg.solve(lower, both).reshape(count * width, -1)
+    prior = np.array([p.scale * base.groups[p.group] for p in base.model.parameters()])
+    return _White(white[:, :-1], white[:, -1], prior)
+
+
+# --- what was gained ----------------------------------------------------------------------------------------------
+def held_out_gain(
+    machine: Machine,
+    recording: Recording,
+    later: Recording,
+    base: Estimate,
+    fields: Sequence[Array],
+    calibration: Path | None,
+) -> Json:
+    """Residual on visits that no fit saw [mm rms]: base model, extended one, and a base model that was told the truth.
+
+    The last has the true displacement taken away from both recordings before it was fitted and evaluated: nobody can
+    know the effect better. realised = (before − after) / (before − told), 0 for a diagnosis that left no calibration
+    and None where less than ATTAINABLE of `before` is to be had.
+    """
+    before = figures(residuals(later, Calibration.of(base, recording, "joint")))["rms_mm"]
+    told = before
+    if fields:
+        whole = np.sum(fields, axis=0)
+        clean = replace(recording, points=recording.points - whole[: len(recording)])
+        clean_later = replace(later, points=later.points - whole[len(recording) :])
+        best = Calibration.of(identify(machine, clean), clean, "joint")
+        told = figures(residuals(clean_later, best))["rms_mm"]
+    after = before
+    if calibration is not None and calibration.exists():
+        after = figures(residuals(later, load_calibration(calibration, machine)))["rms_mm"]
+    attainable = before - told
+    realised = (before - after) / attainable if attainable > ATTAINABLE * before else None
+    return {"rms_before_mm": before, "rms_after_mm": after, "rms_true_form_mm": told, "realised": realised}
+
+
+def read_answer(path: Path) -> Json:
+    """What a diagnosis wrote. Raises BadInput when it is not the contract's answer."""
+    try:
+        answer: Json = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"verdict", "findings"} - set(answer)
+    except (OSError, ValueError, TypeError) as problem:
+        raise BadInput(f"{path}: no answer of a diagnosis ({problem})") from None
+    if missing:
+        raise BadInput(
+            f"{path}: no {' and no '.join(sorted(missing))} in the answer, expected the contract's keys"
+        )
+    return answer

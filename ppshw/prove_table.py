@@ -1,0 +1,231 @@
+"""Scores of many cases → counts: the bars with their intervals, effect by size, by visible strength, by weight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import beta
+
+Json = dict[str, Any]
+EDGES = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, np.inf)  # of √λ
+WEIGHTS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+
+
+def summarise(scores: Sequence[Json]) -> Json:
+    """What prove.json holds beside the counts: bars, effects, strengths, weights, half_power."""
+    return {
+        "bars": _bars(scores),
+        "effects": _by_effect(scores),
+        "strengths": _by_strength(scores),
+        "half_power": half_power(*points(scores)),
+        "weights": _reliability(scores),
+        "seconds": {
+            "median": _median([s["seconds"] for s in scores]),
+            "max": max((s["seconds"] for s in scores), default=None),
+        },
+    }
+
+
+# --- counting -----------------------------------------------------------------------------------------------------
+def share(hits: Iterable[bool]) -> Json:
+    """How many of how many, and the 90 % interval of Clopper and Pearson: a dozen cases prove little, and say so."""
+    marks = [bool(h) for h in hits]
+    k, n = sum(marks), len(marks)
+    low = float(beta.ppf(0.05, k, n - k + 1)) if k > 0 else 0.0
+    high = float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0
+    return {
+        "hits": k,
+        "of": n,
+        "share": k / n if n else None,
+        "low": low if n else None,
+        "high": high if n else None,
+    }
+
+
+def single(scores: Sequence[Json], size: float | None = None) -> list[Json]:
+    """Cases with one effect that has a name, of this size."""
+    return [
+        s
+        for s in scores
+        if len(s["truth"]) == 1 and s["truth"][0]["known"] and (size is None or s["size"] == size)
+    ]
+
+
+def _bars(scores: Sequence[Json]) -> list[Json]:
+    """The issue's bars. met: yes, no, or open where there is no such case."""
+    strangers = [s for s in scores if s["unknown_ok"] is not None]
+    pairs = [s for s in scores if len(s["truth"]) == 2]
+    strong = [s for s in single(scores) if (s["truth"][0]["sqrt_lambda"] or 0) >= 6]
+    fair = [s for s in single(scores) if 5 <= (s["truth"][0]["sqrt_lambda"] or 0) < 6]
+    bars = [
+        _bar(
+            "nulls: a finding",
+            "at most",
+            0.05,
+            [bool(s["answer"]["findings"]) for s in scores if not s["truth"]],
+        )
+    ]
+    for size, wanted in ((0.5, 0.65), (1.0, 0.85), (2.0, 0.95)):
+        bars.append(_bar(f"effect of {size:g} × repeatability: right name", "at least", wanted,
+                         [s["named"][0] for s in single(scores, size)]))  # fmt: skip
+    bars += [
+        _bar("effect of 1 × repeatability: right joint when named", "at least", 0.95,
+             [s["joint_right"][0] for s in single(scores, 1.0) if s["named"][0]]),
+        _bar("pair, 1 × each: both named", "at least", 0.75, [all(s["named"]) for s in pairs]),
+        _bar("outside the catalogue, 1 ×: unexplained, or a fair neighbour", "at least", 0.85,
+             [s["unknown_ok"] for s in strangers]),
+        _bar("outside the catalogue, 1 ×: located", "at least", 0.80, [s["located"][0] for s in strangers]),
+        _bar("√λ ≥ 6: detected", "at least", 0.98, [s["detected"] for s in strong]),
+        _bar("√λ ≥ 6: named within its alias set", "at least", 0.95, [s["in_aliases"][0] for s in strong]),
+        _bar("√λ ≥ 6: wrong name", "at most", 0.02, [bool(s["wrong"]) for s in strong]),
+        _bar("√λ 5–6: detected", "at least", 0.93, [s["detected"] for s in fair]),
+    ]  # fmt: skip
+    half = half_power(*points(scores))
+    met = "open" if half is None else "yes" if half <= 3.8 else "no"
+    bars.append({"what": "half power at √λ", "wanted": "at most 3.8", "met": met, "share": half,
+                 "text": "no fit" if half is None else f"{half:.1f} (wanted at most 3.8)"})  # fmt: skip
+    return [*bars, *_number_bars(scores)]
+
+
+def _number_bars(scores: Sequence[Json]) -> list[Json]:
+    realised = [
+        s["held_out"]["realised"] for s in scores if s["held_out"] and s["held_out"]["realised"] is not None
+    ]
+    longest = max((s["seconds"] for s in scores), default=None)
+    gain, out = _median(realised), []
+    met = "open" if gain is None else "yes" if gain >= 0.85 else "no"
+    text = (
+        "no case"
+        if gain is None
+        else f"{100 * gain:.0f} % of {len(realised)} cases, median (wanted at least 85 %)"
+    )
+    out.append(
+        {
+            "what": "held-out improvement realised",
+            "wanted": "at least 85 %",
+            "met": met,
+            "share": gain,
+            "text": text,
+        }
+    )
+    met = "open" if longest is None else "yes" if longest <= 60 else "no"
+    text = "no case" if longest is None else f"{longest:.0f} s (wanted at most 60 s)"
+    out.append(
+        {"what": "longest diagnosis", "wanted": "at most 60 s", "met": met, "share": longest, "text": text}
+    )
+    return out
+
+
+def _bar(what: str, way: str, wanted: float, hits: Sequence[bool]) -> Json:
+    found = share(hits)
+    if not found["of"]:
+        return {"what": what, "wanted": f"{way} {100 * wanted:g} %", "met": "open", **found, "text": "no case"}
+    met = found["share"] >= wanted if way == "at least" else found["share"] <= wanted
+    text = f"{percent(found)} (wanted {way} {100 * wanted:g} %)"
+    return {
+        "what": what,
+        "wanted": f"{way} {100 * wanted:g} %",
+        "met": "yes" if met else "no",
+        **found,
+        "text": text,
+    }
+
+
+def percent(found: Json) -> str:
+    if not found["of"]:
+        return "–"
+    return (
+        f"{100 * found['share']:.0f} % of {found['of']}, {100 * found['low']:.0f}–{100 * found['high']:.0f} %"
+    )
+
+
+def _by_effect(scores: Sequence[Json]) -> list[Json]:
+    """One row per effect and size, in the order of the first appearance of effects by name."""
+    rows = []
+    keys = sorted({(s["truth"][0]["effect"], s["size"]) for s in scores if len(s["truth"]) == 1})
+    for effect, size in keys:
+        mine = [
+            s for s in scores if len(s["truth"]) == 1 and (s["truth"][0]["effect"], s["size"]) == (effect, size)
+        ]
+        strengths = [s["truth"][0]["sqrt_lambda"] for s in mine if s["truth"][0]["sqrt_lambda"] is not None]
+        powers = [s["truth"][0]["power"] for s in mine if s["truth"][0]["power"] is not None]
+        realised = [
+            s["held_out"]["realised"] for s in mine if s["held_out"] and s["held_out"]["realised"] is not None
+        ]
+        rows.append({
+            "effect": effect, "size": size, "known": mine[0]["truth"][0]["known"],
+            "detected": share(s["detected"] for s in mine),
+            "named": share(s["named"][0] for s in mine),
+            "joint": share(s["joint_right"][0] for s in mine if s["named"][0]),
+            "in_aliases": share(s["in_aliases"][0] for s in mine),
+            "located": share(s["located"][0] for s in mine),
+            "wrong": share(bool(s["wrong"]) for s in mine),
+            "sqrt_lambda": _median(strengths), "bound": float(np.mean(powers)) if powers else None,
+            "realised": _median(realised), "seconds": _median([s["seconds"] for s in mine]),
+        })  # fmt: skip
+    return rows
+
+
+def _by_strength(scores: Sequence[Json]) -> list[Json]:
+    rows = []
+    known = [s for s in single(scores) if s["truth"][0]["sqrt_lambda"] is not None]
+    for low, high in pairwise(EDGES):
+        mine = [s for s in known if low <= s["truth"][0]["sqrt_lambda"] < high]
+        if mine:
+            rows.append({
+                "from": low, "to": None if np.isinf(high) else high,
+                "detected": share(s["detected"] for s in mine), "named": share(s["named"][0] for s in mine),
+                "in_aliases": share(s["in_aliases"][0] for s in mine),
+                "wrong": share(bool(s["wrong"]) for s in mine),
+                "bound": float(np.mean([s["truth"][0]["power"] for s in mine])),
+            })  # fmt: skip
+    return rows
+
+
+def points(scores: Sequence[Json]) -> tuple[list[float], list[bool]]:
+    known = [s for s in single(scores) if s["truth"][0]["sqrt_lambda"] is not None]
+    return [s["truth"][0]["sqrt_lambda"] for s in known], [s["detected"] for s in known]
+
+
+def half_power(strength: Sequence[float], detected: Sequence[bool]) -> float | None:
+    """√λ at which half of the cases are detected: a logistic curve through yes and no; None without both.
+
+    A faint ridge (one case's worth) keeps the slope finite where the two do not overlap.
+    """
+    x, y = np.asarray(strength, dtype=float), np.asarray(detected, dtype=float)
+    if not 0 < y.sum() < len(y):
+        return None
+
+    def cost(p: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+        z = p[1] * (x - p[0])
+        return float(np.sum(np.logaddexp(0.0, z) - y * z) + 0.02 * p[1] ** 2)
+
+    fits = [minimize(cost, [start, 1.0], method="Nelder-Mead") for start in (2.0, 4.0, 8.0)]
+    best = min(fits, key=lambda f: float(f.fun))
+    return float(best.x[0])
+
+
+def _reliability(scores: Sequence[Json]) -> list[Json]:
+    """Of the names offered with a weight between two limits: the mean weight, and how many were right."""
+    offered = [pair for s in scores for pair in s["weights"]]
+    rows = []
+    for low, high in pairwise(WEIGHTS):
+        mine = [(w, r) for w, r in offered if low < w <= high]
+        if mine:
+            rows.append(
+                {
+                    "from": low,
+                    "to": high,
+                    "mean": float(np.mean([w for w, _ in mine])),
+                    "right": share(r for _, r in mine),
+                }
+            )
+    return rows
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if len(values) else None
