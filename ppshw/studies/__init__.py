@@ -1,0 +1,1 @@
+"""Studies: each a command that makes a table, a picture and the JSON behind both."""
