@@ -114,24 +114,24 @@ def draw(residuals: dict[tuple[str, str], Array], motions: Sequence[tuple[str, A
         for ax, (name, title) in zip(axes, panels, strict=False):
             _shares(ax, {model: r for (data, model), r in residuals.items() if data == name}, title)
         _motions(axes[5], motions)
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(out, metadata={"Date": None, "Creator": None} if out.suffix == ".svg" else None)
 
 
 def _shares(ax: Axes, models: dict[str, Array], title: str) -> None:
     for colour, (model, errors) in zip(SERIES, models.items(), strict=False):
         size = np.linalg.norm(errors, axis=-1).ravel() * 1e3
         size = np.sort(size[np.isfinite(size)])
-        ideal = model == "nominal"
+        ideal, label = model == "nominal", model.replace("gravity follows the base", "g turned")
         share = 100 * (np.arange(len(size)) + 0.5) / len(size)
-        ax.plot(size, share, color=FAINT if ideal else colour, linestyle="--" if ideal else "-", label=model)
+        ax.plot(size, share, color=FAINT if ideal else colour, linestyle="--" if ideal else "-", label=label)
     ax.set(xscale="log", xlabel="residual [mm]", ylabel="share of readings below [%]", ylim=(0, 100))
     ax.set_title(title, fontsize=10)
-    ax.legend(loc="upper left")
+    ax.legend(loc="upper left", fontsize=7.5)
 
 
 def _motions(ax: Axes, motions: Sequence[tuple[str, Array, Array]]) -> None:
     for k, (name, position, error) in enumerate(motions):
         ax.plot(np.degrees(position - position.mean()), error * 1e6 - 1000 * k, color=SERIES[k], label=name)
     ax.set(xlabel="joint position from the middle of its travel [°]", ylabel="error about its own axis [µrad], shifted")
-    ax.set_title("UR10 series C: what the joints do beyond a straight line", fontsize=10)
+    ax.set_title("UR10 C: joints about their own axes, less a line", fontsize=10)
     ax.legend(loc="upper right")
