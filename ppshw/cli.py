@@ -89,6 +89,7 @@ def import_(a: argparse.Namespace) -> None:
         "machine_name": machine.name,
         "machine_sha256": machine.sha256,
         "imported_from": Path(a.csv).name,
+        "csv_newline": "CRLF" if table.newline == "\r\n" else "LF",
         "ppshw": __version__,
     }
     with _written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
@@ -108,7 +109,7 @@ def export(a: argparse.Namespace) -> None:
         raise BadInput(f"{out}: is a recording already, expected the name of a CSV file to write")
     table = read_table(a.rec)
     with _written_whole(out) as partial:
-        partial.write_text(table.csv_text(), encoding="utf-8", newline="")
+        partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")
     _say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {len(table.rows)} visits")
 
 

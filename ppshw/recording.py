@@ -32,17 +32,19 @@ LARGEST = 1e9
 
 @dataclass(frozen=True)
 class Table:
-    """The recording as text: header, rows, where each row stood (for messages), the machine's name where it is said."""
+    """The recording as text: header, rows, where each row stood (for messages); the machine's name where it is said,
+    and how lines ended in the CSV that it came from."""
 
     source: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     machine_name: str = ""
+    newline: str = "\n"
 
-    def csv_text(self) -> str:
+    def csv_text(self, newline: str = "\n") -> str:
         """The canonical CSV: commas, line feeds, quotes only where a cell needs them."""
-        return "".join(",".join(map(_quoted, row)) + "\n" for row in (self.header, *self.rows))
+        return "".join(",".join(map(_quoted, row)) + newline for row in (self.header, *self.rows))
 
 
 @dataclass(frozen=True)
@@ -136,10 +138,11 @@ def read_table(path: Path | str) -> Table:
     if is_sqlite(path):
         with RecordingFile.open(path, readonly=True) as file:
             header, rows = file.table()
-            machine_name = file.meta().get("machine_name", "")
+            meta = file.meta()
         if not rows:
             raise RecordingError(f"{path}: the recording holds no visit yet")
-        return Table(str(path), header, rows, tuple(range(1, len(rows) + 1)), machine_name)
+        newline = "\r\n" if meta.get("csv_newline") == "CRLF" else "\n"
+        return Table(str(path), header, rows, tuple(range(1, len(rows) + 1)), meta.get("machine_name", ""), newline)
     return _read_csv(path)
 
 
@@ -333,4 +336,5 @@ def _read_csv(path: Path) -> Table:
             raise RecordingError(f"{path}:1: column {k + 1} is {'twice here: ' + name if name else 'without a name'}")
     if not rows:
         raise RecordingError(f"{path}: a header but no visit")
-    return Table(str(path), header, tuple(rows), tuple(lines))
+    newline = "\r\n" if text.partition("\n")[0].endswith("\r") else "\n"
+    return Table(str(path), header, tuple(rows), tuple(lines), newline=newline)

@@ -1,4 +1,4 @@
-"""Everything that nobody thought of: whatever damage a file takes, a command does its work or says in one line why not."""
+"""Everything that nobody thought of: however a file is damaged, a command does its work or says in one line why not."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.contract.desk import lay_out, one_line, ppshw
 
-# Some of what is written here was found by 3,000 examples of each; these few keep it so.
+# Some of what is written here was found by 1,500 examples of each; these few keep it so.
 FEW = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 

@@ -1,0 +1,153 @@
+"""The bench's commands as programs, on simulated hardware that is a program too: exit codes, stops, goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from campaigns.site import open_bench
+from ppshw.calibration import Calibration, content_digest
+from ppshw.identification import identify
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
+from ppshw.recording_file import RecordingFile
+from simulators.faults import Fault, FaultSchedule
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Plant
+from tests.contract.desk import one_line, ppshw
+from tests.end_to_end.rig import ROOT, Rig
+
+PROGRAM = str(Path(sys.executable).with_name("ppshw"))
+SCRIPT = """\
+name: short
+settle_s: 1
+loads: [{name: empty, mass: 0}, {name: box, mass: 100, com: [0, 0.1, 0.3]}]
+steps: [{step: any, kind: random, count: COUNT, margin: 0.3, within: {lateral: [-0.2, 0.2], vertical: [-0.1, 0.1]}}]
+"""
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a site file; behind it `ppshw simulate` runs."""
+    folder = tmp_path_factory.mktemp("hall")
+    for count in (4, 60):
+        (folder / f"{count}.yaml").write_text(SCRIPT.replace("COUNT", str(count)), encoding="utf-8")
+    words = ["simulate", "--machine", "pps", "--site-out", "site.yaml", "--speed", "40", "--json"]
+    process = subprocess.Popen([PROGRAM, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert json.loads(process.stdout.readline()) == {"site": str(folder / "site.yaml")}
+    yield folder
+    process.terminate()
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (0, "")
+
+
+def run(folder: Path, *words: str, code: int = 0) -> Any:
+    """A command of that program: its answer, or the line that it failed with."""
+    done = subprocess.run([PROGRAM, *words], cwd=folder, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == code, done.stderr
+    if code == 0:
+        assert done.stderr == ""
+        return json.loads(done.stdout)
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+def test_check_says_who_every_device_is(hall: Path) -> None:
+    found = run(hall, "check", "--site", "site.yaml", "--json")
+    names = [device["device"] for device in found["devices"]]
+    assert names == ["lateral", "vertical", "longitudinal", "yaw", "roll", "pitch", "tracker", "force sensor"]
+    assert all(device["model"] and device["serial"] for device in found["devices"])
+
+
+def test_a_run_completes_and_once_more_has_nothing_left_to_do(hall: Path) -> None:
+    words = ["run", "4.yaml", "--site", "site.yaml", "--out", "done.db", "--json"]
+    found = run(hall, *words)
+    assert found == {"out": "done.db", "measured": 4, "done": 4, "planned": 4, "skipped": 0, "lost_beams": 0}
+    before = (hall / "done.db").read_bytes()
+    assert run(hall, *words) == {**found, "measured": 0}
+    assert (hall / "done.db").read_bytes() == before
+    assert not list(hall.glob("*.lock"))
+
+
+def test_a_run_that_is_told_to_end_stops_the_axes_and_goes_on_later(hall: Path) -> None:
+    """SIGTERM, as a service manager sends it, is as good as Ctrl-C; meanwhile nobody else may write the recording."""
+    words = ["run", "60.yaml", "--site", "site.yaml", "--out", "long.db", "--json"]
+    process = subprocess.Popen([PROGRAM, *words], cwd=hall, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (hall / "long.db").exists() or measured(hall / "long.db") < 2:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert "long.db: another run is writing it" in run(hall, *words, code=2)
+    os.kill(process.pid, signal.SIGTERM)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (1, "")
+    assert err == "ppshw: stopped by the operator; long.db holds everything up to the last visit\n"
+    so_far = measured(hall / "long.db")
+    assert 2 <= so_far < 60
+    with RecordingFile.open(hall / "long.db") as file:
+        assert file.events()[-1][1] == "stopped"
+    (hall / "60.yaml").write_text("# another script\n" + SCRIPT.replace("COUNT", "60"), encoding="utf-8")
+    assert "long.db: was begun with another campaign script" in run(hall, *words, code=2)
+
+
+def measured(path: Path) -> int:
+    try:
+        with RecordingFile.open(path, readonly=True) as file:
+            return len(file.done())
+    except Exception:  # it is being made at this moment
+        return 0
+
+
+def test_move_drives_to_the_corrected_setpoints_and_only_on_the_machine_that_stands_there(hall: Path) -> None:
+    machine = load_machine(ROOT / "machines/pps.yaml")
+    plant = Plant.from_file(machine.file, seed=1)
+    recording = load_recording(simulate_recording_csv(plant, hall / "r.csv", 90), machine)
+    Calibration.of(identify(machine, recording), recording, "joint").save(hall / "cal.json")
+    wanted = ["--joints", "0.1 0.05 0.4 0.1 0 0", "--wrench", "0 -981 0 294 0 0", "--calibration", "cal.json"]
+    found = run(hall, "move", "--machine", "pps", "--site", "site.yaml", *wanted, "--json")
+    assert found["reached"] == pytest.approx(found["setpoints"], abs=1e-6)
+    assert found["reached"] != pytest.approx(found["nominal"], abs=1e-6)
+    other = hall / "other.yaml"
+    other.write_text("# not the one in the hall\n" + Path(machine.file).read_text(encoding="utf-8"), encoding="utf-8")
+    data = json.loads((hall / "cal.json").read_text(encoding="utf-8"))
+    data["provenance"]["machine_sha256"] = load_machine(other).sha256
+    (hall / "cal.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")
+    line = run(hall, "move", "--machine", str(other), "--site", "site.yaml", *wanted, "--json", code=2)
+    assert "machine 'pps'" in line
+    assert "stands there, the calibration is for" in line
+
+
+def test_a_site_that_does_not_answer_is_a_failed_run_not_bad_input(hall: Path) -> None:
+    text = (hall / "site.yaml").read_text(encoding="utf-8")
+    silent = "\n".join("  port: socket://127.0.0.1:9" if "port: socket" in line and line.startswith("  ") else line
+                       for line in text.splitlines())  # fmt: skip
+    (hall / "silent.yaml").write_text(silent, encoding="utf-8")
+    line = run(hall, "run", "4.yaml", "--site", "silent.yaml", "--out", "silent.db", code=1)
+    assert "tracker" in line
+    assert not (hall / "silent.db").exists()
+
+
+def test_a_tripped_drive_is_acknowledged_only_on_the_operator_s_word(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command line in this process, on the rig's own clock and ports."""
+    monkeypatch.setattr("campaigns.site.open_bench", lambda site: open_bench(site, rig.clock, rig.hardware.ports))
+    monkeypatch.setattr("campaigns.site.Site.make_operator", lambda site: rig.operator)
+    words = ["run", rig.folder / "small.yaml", "--site", rig.folder / "site.yaml", "--out", rig.out, "--json"]
+    FaultSchedule(rig.hardware, [Fault("yaw", "trip", 0x8611, at_s=30.0)])
+    for _ in range(2):
+        said = ppshw(*words)
+        assert (said.code, said.out) == (1, "")
+        assert one_line(said.err)
+        assert "yaw: drive fault 0x8611, following error" in said.err
+    assert json.loads(ppshw(*words, "--reset-faults").out)["done"] == 12
