@@ -1,0 +1,250 @@
+"""Kinematics of 10⁴ poses, and one whole calibration of one arm, against figaroh/pinocchio, pybotics and robotkinecal.
+
+    python -m benchmarks.peers [--short] [--rounds N] [--data DIR]
+
+The peers live in environments of their own, .bench-venv/figaroh and .bench-venv/pybotics (they cannot share one: numpy 2
+and numpy 1), built at the first run from environment-*.txt. The arm is a UR5 measured by a laser tracker: 1,000 poses to
+identify and 20 to test, not part of this project (docs/real-data.md); without it that half is left out, and says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from benchmarks.figures import ROOT, number, remarks, seconds, span, table, write
+from ppshw.calibration import Calibration
+from ppshw.converters import ur5
+from ppshw.evaluation import residuals
+from ppshw.identification.joint import estimate
+from ppshw.identification.start import align
+from ppshw.identification.structure import joint_model
+from ppshw.kinematics import frames, joint_jacobian, point_jacobian
+from ppshw.machine import Machine, load_machine
+from ppshw.model import Model
+from ppshw.recording import Recording, load_recording
+from ppshw.terms.basis import Constant
+from ppshw.terms.geometric import Geometric
+from ppshw.terms.target import TargetOffset
+from ppshw.transforms import rpy_of
+
+HERE = Path(__file__).parent
+ENVIRONMENTS = {
+    "figaroh": ("figaroh==1.0.2", "pin==4.1.0"),
+    "pybotics": ("pybotics==3.1.2", "robotkinecal==0.1.0"),
+}
+PEERS = {"figaroh": "figaroh", "pybotics": "pybotics", "robotkinecal": "pybotics"}
+NAMES = {
+    "ppshw": "ppshw",
+    "figaroh": "figaroh 1.0.2 / pinocchio 4.1 (C++)",
+    "pybotics": "pybotics 3.1.2",
+    "robotkinecal": "robotkinecal 0.1.0",
+}
+
+
+def environment(name: str, build: bool) -> Path | None:
+    """The environment's Python; None where it is not there and is not to be built."""
+    folder = ROOT / ".bench-venv" / name
+    python, stamp = folder / "bin/python", folder / "built"
+    if stamp.is_file():
+        return python
+    if not build:
+        return None
+    print(f"building {folder} …", file=sys.stderr)
+    venv.create(folder, with_pip=True, clear=True)
+    constraints = HERE / f"environment-{name}.txt"
+    # wheels only: an old scipy would be tried from source, and fail for want of a Fortran compiler
+    wanted = ["--only-binary", ":all:", "-c", str(constraints), *ENVIRONMENTS[name]]
+    subprocess.run([python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *wanted], check=True)
+    stamp.write_text("")
+    return python
+
+
+def ask(peer: str, python: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """Hand a peer its task; it gets one thread, as everybody."""
+    with tempfile.TemporaryDirectory() as folder:
+        asked, answered = Path(folder) / "task.npz", Path(folder) / "answer.json"
+        np.savez(asked, **task)
+        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+        done = subprocess.run(
+            [python, HERE / f"peer_{peer}.py", asked, answered],
+            env={**os.environ, **threads}, cwd=folder, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if done.returncode != 0:
+            raise RuntimeError(f"{peer}: {done.stderr.strip().splitlines()[-1]}")
+        answer: dict[str, Any] = json.loads(answered.read_text())
+        return answer
+
+
+def kinematics(machine: Machine, poses: int, rounds: int, pythons: dict[str, Path]) -> str:
+    """Forward solution, joint Jacobian and generalized-error Jacobian of the reflector, per pose."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (poses, machine.n))
+    points = machine.target_array
+
+    def positions(chain: np.ndarray) -> np.ndarray:
+        tip = chain[:, -1] @ machine.tip_in_link
+        return np.asarray(np.einsum("nij,pj->npi", tip[:, :3, :3], points) + tip[:, None, :3, 3])
+
+    def errors() -> np.ndarray:
+        chain = frames(machine, q)
+        return point_jacobian(chain, positions(chain))
+
+    def joints() -> np.ndarray:
+        chain = frames(machine, q)
+        return joint_jacobian(machine, chain, positions(chain))
+
+    chain = frames(machine, q[:5])
+    tips = positions(chain)[:, 0]
+    task = {"task": "kinematics", "q": q, "rounds": rounds, **_geometry(machine)}
+    answers = {peer: ask(peer, python, task) for peer, python in pythons.items()}
+    for peer, answer in answers.items():  # figures of different arms would say nothing
+        off = np.abs(np.array(answer["tips"]) - tips).max()
+        if off > 1e-6:
+            raise RuntimeError(f"{peer} has another arm: its reflector is off by {off * 1e3:.3g} mm")
+    runs = {"forward": lambda: frames(machine, q), "joint_jacobian": joints, "error_jacobian": errors}
+    answers = {
+        "ppshw": {k: [s / poses * 1e6 for s in seconds(run, rounds)] for k, run in runs.items()}, **answers
+    }
+    rows = [
+        [NAMES[who], *(span(a[k]) if k in a else "–" for k in runs), *(_ratio(a, answers["ppshw"], k) for k in runs)]
+        for who, a in answers.items()
+    ]
+    header = ["µs per pose", "forward", "joint Jacobian", "error Jacobian", "× ours: forward", "joint", "error"]
+    return (
+        f"UR5, {poses:,} random poses, each Jacobian with the forward solution that it needs. ppshw takes all poses in one call; the "
+        "peers take them one by one from Python, which is how they are called. The error Jacobian has 36 columns in pinocchio and "
+        "robotkinecal (its `Q_Matrix`), 42 here (the base too); pybotics has none and differentiates its 24 link parameters "
+        f"numerically. pybotics' error Jacobian and robotkinecal are timed over every tenth pose.\n\n{table(header, rows)}\n"
+    )
+
+
+def _ratio(answer: dict[str, Any], ours: dict[str, Any], key: str) -> str:
+    return number(min(answer[key]) / min(ours[key])) if key in answer else "–"
+
+
+def _geometry(machine: Machine) -> dict[str, Any]:
+    """What a peer builds its arm from: the joints' origins and the reflector in the last link, also as a URDF."""
+    reflector = machine.tip_in_link.copy()
+    reflector[:3, 3] += reflector[:3, :3] @ machine.target_array[0]
+    origins = np.array([joint.origin for joint in machine.joints])
+    return {"origins": origins, "reflector": reflector, "urdf": _urdf(machine, reflector)}
+
+
+def _urdf(machine: Machine, reflector: np.ndarray) -> str:
+    """URDF text: the same joints, and the reflector as a frame `ee_link`."""
+
+    def origin(pose: np.ndarray) -> str:
+        xyz, rpy = pose[:3, 3], rpy_of(pose[:3, :3])
+        return f'<origin xyz="{" ".join(f"{v:.17g}" for v in xyz)}" rpy="{" ".join(f"{v:.17g}" for v in rpy)}"/>'
+
+    lines = [f'<robot name="{machine.name}">', '<link name="l0"/>']
+    for k, joint in enumerate(machine.joints):
+        axis = " ".join(f"{v:.17g}" for v in joint.axis)
+        lines += [
+            f'<link name="l{k + 1}"/>',
+            f'<joint name="{joint.name}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>',
+            f'{origin(joint.origin)}<axis xyz="{axis}"/><limit lower="-7" upper="7" effort="1" velocity="1"/></joint>',
+        ]
+    lines += [
+        '<link name="ee_link"/><joint name="ee" type="fixed">',
+        f'<parent link="l{machine.n}"/><child link="ee_link"/>{origin(reflector)}</joint></robot>',
+    ]
+    return "\n".join(lines)
+
+
+def calibration(machine: Machine, data: Path, rounds: int, most: int, pythons: dict[str, Path], use: int) -> str:
+    """Identify the same arm from the same visits, test on the same others."""
+    with tempfile.TemporaryDirectory() as folder:
+        recordings = []
+        for name in ("grid", "random"):
+            ur5.convert(data / f"{name}.csv", Path(folder) / f"{name}.csv")
+            recordings.append(load_recording(Path(folder) / f"{name}.csv", machine))
+    train, test = recordings[0].subset(np.arange(min(use, len(recordings[0])))), recordings[1]
+    constants = Model(
+        machine,
+        tuple(Geometric(k, Constant()) for k in range(machine.n + 1)),
+        TargetOffset(tuple(machine.targets)),
+    )
+    rows = []
+    own = {}
+    for name, model in (("geometry", constants), ("all", joint_model(machine, train))):
+        found: list[Calibration] = []
+        times = seconds(lambda model=model, found=found: found.append(_identify(model, train)), rounds)  # type: ignore[misc]
+        own[name] = min(times)
+        label = {
+            "geometry": "ppshw, constant geometry alone",
+            "all": "ppshw, full model (functions of position, own weight)",
+        }[name]
+        error = np.linalg.norm(residuals(test, found[-1])[:, 0], axis=1) * 1e3
+        rows.append([label, str(len(model.parameters())), span(times, " s"), "1" if name == "geometry" else number(
+            own["all"] / own["geometry"]), f"{error.mean():.3f}", f"{error.max():.3f}", "yes, with priors"])  # fmt: skip
+    frame, _ = align(machine, train, targets_free=True)
+    task = {
+        "task": "calibrate", "q": train.q, "points": train.points[:, 0], "q_test": test.q, "measuring_in_base": frame,
+        "points_in_base": train.points[:, 0] @ frame[:3, :3].T + frame[:3, 3], "most_evaluations": most,
+        **_geometry(machine),
+    }  # fmt: skip
+    for peer, python in pythons.items():
+        again = 1 if peer == "pybotics" else rounds
+        answers = [ask(peer, python, task) for _ in range(again)]
+        a = answers[-1]
+        times = [one["set_up_s"] + one["solve_s"] for one in answers]
+        error = np.linalg.norm(np.array(a["predicted"]) - test.points[:, 0], axis=1) * 1e3
+        rows.append([
+            NAMES[peer], str(a["parameters"]), span(times, " s"), number(min(times) / own["geometry"]),
+            f"{error.mean():.3f}", f"{error.max():.3f}",
+            f"{'yes' if a['converged'] else 'no'}, {a['evaluations']} evaluations",
+        ])  # fmt: skip
+    header = ["", "parameters", "time", "× ours", "test mean mm", "test max mm", "converged"]
+    return (
+        f"The same UR5, {len(train):,} measured poses to identify, {len(test)} to test; set-up included, reading files and importing not. "
+        "Every one estimates the measuring frame and the reflector too; pybotics and robotkinecal start where our alignment puts the "
+        f"measuring frame, figaroh finds its own; pybotics is stopped after {most} evaluations.\n\n{table(header, rows)}\n"
+    )
+
+
+def _identify(model: Model, recording: Recording) -> Calibration:
+    return Calibration.of(estimate(model, recording), recording, "joint")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--short", action="store_true", help="seconds instead of minutes; builds and writes nothing")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data/ur5", help="grid.csv and random.csv")
+    a = parser.parse_args()
+    load, started = os.getloadavg(), time.perf_counter()
+    machine = load_machine(ROOT / "machines/real/ur5.yaml")
+    pythons = {peer: environment(where, build=not a.short) for peer, where in PEERS.items()}
+    missing = [peer for peer, python in pythons.items() if python is None]
+    there = {peer: python for peer, python in pythons.items() if python is not None}
+    if missing:
+        print(f"left out, no environment yet (run without --short): {', '.join(missing)}")
+    text = "`python -m benchmarks.peers`\n\n" + kinematics(
+        machine, 200 if a.short else 10_000, 1 if a.short else a.rounds, there
+    )
+    if (a.data / "grid.csv").is_file():
+        slow = {} if a.short else there  # a calibration takes the peers seconds to minutes
+        text += "\n" + calibration(machine, a.data, 1 if a.short else a.rounds, 60, slow, 120 if a.short else 1000)
+    else:
+        text += f"\nNo calibration: {a.data}/grid.csv is not there.\n"
+    text += f"\n{remarks(load)} {time.perf_counter() - started:.0f} s.\n"
+    print(text)
+    if not a.short:
+        write("peers", text)
+
+
+if __name__ == "__main__":
+    main()
