@@ -1,0 +1,211 @@
+"""Wanted pose and load → setpoints, judged by the plant, which shares no code with the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ppshw.calibration import Calibration
+from ppshw.compensation import Bounds, Compensator, nominal_joints, payload_at, solve_pose
+from ppshw.errors import CompensationRefused
+from ppshw.identification import identify
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
+from ppshw.transforms import from_xyz_rpy
+from simulators.chain import link_poses
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Load, Plant
+
+Array = NDArray[np.float64]
+MACHINES = Path(__file__).parents[2] / "machines"
+PATIENT = np.array([0.0, -981.0, 0.0, 294.0, 0.0, 0.0])  # 100 kg, 0.3 m out along z; gravity is −y
+POSE = np.array([0.1, -0.05, 0.5, 0.3, 0.01, -0.01])
+
+
+@cache
+def calibrated(name: str) -> tuple[Plant, Calibration]:
+    """A machine that always arrives at the same place, measured without noise at 260 visits under eight loads."""
+    plant = Plant.from_file(MACHINES / f"{name}.yaml", seed=11, repeatability=0.0)
+    machine = load_machine(MACHINES / f"{name}.yaml")
+    with TemporaryDirectory() as folder:
+        csv = simulate_recording_csv(
+            plant, Path(folder) / "r.csv", 260, np.random.default_rng(1), "mixed", visits_per_load=5,
+            measurement_noise=False,
+        )  # fmt: skip
+        recording = load_recording(csv, machine)
+    return plant, Calibration.of(identify(machine, recording), recording, "joint")
+
+
+@pytest.fixture
+def couch() -> Compensator:
+    return Compensator(calibrated("pps")[1])
+
+
+def moved(q: Array, joint: int, by: float) -> Array:
+    out = q.copy()
+    out[joint] += by
+    return out
+
+
+# --- does it help? ---------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("name", "without_mm"), [("pps", 3.0), ("arm6", 3.0)])
+def test_the_loop_closes_on_the_plant(name: str, without_mm: float) -> None:
+    """Sent to corrected setpoints, the treatment point of the real machine is where the ideal one would have it."""
+    plant, calibration = calibrated(name)
+    compensator, rng = Compensator(calibration), np.random.default_rng(2)
+    low, high = calibration.joint_range.T
+    inset = 0.1 * (high - low)
+    before, after = [], []
+    for wanted, load in zip(rng.uniform(low + inset, high - inset, (40, 6)), plant.random_loads(40, rng), strict=True):
+        ideal = plant.nominal_points(wanted, ["treatment"])["treatment"][0]
+        try:
+            setpoints = compensator.for_joints(wanted, plant.wrench(wanted, load)[0])
+        except CompensationRefused:  # a load that the eight of the recording do not span
+            continue
+        for q, errors in ((wanted, before), (setpoints.corrected, after)):
+            errors.append(plant.true_points(q, load, names=["treatment"])["treatment"][0] - ideal)
+    assert len(after) >= 20
+    size = [np.linalg.norm(errors, axis=1).max() * 1e3 for errors in (before, after)]
+    assert size[0] > without_mm
+    assert size[1] < 0.1
+
+
+def test_pose_and_joints_are_two_ways_to_ask_for_the_same(couch: Compensator) -> None:
+    by_joints = couch.for_joints(POSE, PATIENT, "treatment")
+    machine = couch.machine
+    tip, _ = pose_of(POSE)
+    at_point = tip @ from_xyz_rpy(machine.point("treatment"), np.zeros(3))
+    by_pose = couch.for_pose(at_point, PATIENT, "treatment", near=POSE)
+    np.testing.assert_allclose(by_pose.nominal, POSE, atol=1e-6)
+    np.testing.assert_allclose(by_pose.corrected, by_joints.corrected, atol=1e-6)
+
+
+def pose_of(q: Array) -> tuple[Array, Array]:
+    """The nominal end-effector frame, by the simulators' own kinematics."""
+    plant, _ = calibrated("pps")
+    tip = link_poses(plant.chain, q[None])[0, -1] @ plant.chain.tip
+    return tip, q
+
+
+def test_which_point_is_asked_for_changes_the_prediction_and_not_the_setpoints(couch: Compensator) -> None:
+    """The whole frame is put right, so it is right at every point of the couch."""
+    found = {point: couch.for_joints(POSE, PATIENT, point) for point in ("tip", "treatment", "P1")}
+    for one in found.values():
+        np.testing.assert_allclose(one.corrected, found["tip"].corrected, atol=1e-9)
+    lengths = {point: np.linalg.norm(one.predicted_error) for point, one in found.items()}
+    assert lengths["treatment"] > 1.2 * lengths["tip"]  # 0.85 m further out on the couch
+
+
+def test_the_predicted_error_is_the_plant_s(couch: Compensator) -> None:
+    plant, _ = calibrated("pps")
+    found = couch.for_joints(POSE, PATIENT, "treatment")
+    true = plant.true_points(POSE, PATIENT, names=["treatment"])["treatment"]
+    ideal = plant.nominal_points(POSE, ["treatment"])["treatment"]
+    np.testing.assert_allclose(found.predicted_error, (true - ideal)[0], atol=1e-4)
+    assert 0 < np.linalg.norm(found.std) < 1e-4
+
+
+def test_of_several_ways_to_reach_a_pose_the_nearest_is_taken() -> None:
+    """An arm reaches a pose with its wrist turned either way: half a turn of the forearm, wrist bent the other way."""
+    machine = load_machine(MACHINES / "arm6.yaml")
+    plant = Plant.from_file(machine.file)
+    q = np.array([0.2, 0.3, -0.4, 0.9, 0.8, -0.5])
+    tip = link_poses(plant.chain, q[None])[0, -1] @ plant.chain.tip
+    other = np.array([0.2, 0.3, -0.4, 0.9 - np.pi, -0.8, -0.5 + np.pi])
+    np.testing.assert_allclose(nominal_joints(machine, tip, near=q), q, atol=1e-6)
+    np.testing.assert_allclose(nominal_joints(machine, tip, near=other), other, atol=1e-6)
+
+
+def test_many_poses_are_solved_at_once() -> None:
+    machine = load_machine(MACHINES / "pps.yaml")
+    plant = Plant.from_file(machine.file)
+    q = plant.random_poses(200, np.random.default_rng(3))
+    tips = link_poses(plant.chain, q)[:, -1] @ plant.chain.tip
+    found, left = solve_pose(machine, tips, np.tile([0, 0, 0.7, 0, 0, 0], (200, 1)))
+    np.testing.assert_allclose(found, q, atol=1e-6)
+    assert np.abs(left).max() < 1e-6
+
+
+# --- what the sensor will read elsewhere -----------------------------------------------------------------------------
+def test_a_payload_s_wrench_turns_with_the_sensor() -> None:
+    """Exact where its centre lies on the line nearest to the sensor; the plant weighs it at both poses."""
+    plant, machine = Plant.from_file(MACHINES / "pps.yaml"), load_machine(MACHINES / "pps.yaml")
+    box = Load(80.0, np.array([0.1, 0.0, 0.3]))
+    here, there = np.zeros(6), np.array([0.4, 0.1, 0.9, 1.2, 0.0, 0.0])
+    expected = plant.wrench(there, box)[0]
+    np.testing.assert_allclose(payload_at(machine, plant.wrench(here, box)[0], here, there), expected, atol=1e-6)
+    tilted = moved(there, 4, 0.05)
+    found = payload_at(machine, plant.wrench(here, box)[0], here, tilted)
+    # 785 N, 0.05 rad: the side force is 39 N; the height of the centre, which one reading cannot tell, is zero here
+    np.testing.assert_allclose(found, plant.wrench(tilted, box)[0], atol=0.5)
+    assert abs(found[0]) + abs(found[2]) > 35
+
+
+def test_without_payload_there_is_none_anywhere() -> None:
+    machine = load_machine(MACHINES / "pps.yaml")
+    np.testing.assert_array_equal(payload_at(machine, np.zeros(6), np.zeros(6), POSE), np.zeros(6))
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+def test_a_pose_out_of_reach_is_refused() -> None:
+    machine = load_machine(MACHINES / "arm6.yaml")
+    with pytest.raises(CompensationRefused, match=r"cannot be reached by 'arm6': the nearest .* miss it by \S+ mm"):
+        nominal_joints(machine, from_xyz_rpy(np.array([0, 0, 9.0]), np.zeros(3)))
+
+
+def test_a_pose_beyond_a_limit_is_refused_with_joint_and_amount(couch: Compensator) -> None:
+    tip, _ = pose_of(moved(POSE, 0, 1.125))  # 0.1 m beyond 1.125 m
+    with pytest.raises(CompensationRefused, match=r"the pose needs joint 'lateral' 0\.1 m beyond its limits"):
+        couch.for_pose(tip, PATIENT)
+
+
+def test_a_joint_value_outside_what_was_identified_is_refused(couch: Compensator) -> None:
+    narrow = replace(couch.calibration, joint_range=couch.calibration.joint_range * [[0.5, 0.5]])
+    with pytest.raises(CompensationRefused, match=r"joint 'lateral' at 0\.9 m is outside what was identified, -0\."):
+        Compensator(narrow).for_joints(moved(POSE, 0, 0.8), PATIENT)
+
+
+@pytest.mark.parametrize(
+    ("k", "value", "text"),
+    [(1, -3000.0, "load Fy = -3000 N"), (3, 2000.0, "load Mx = 2000 N m"), (0, 500.0, "load Fx = 500 N")],
+)
+def test_a_load_outside_what_was_identified_is_refused(couch: Compensator, k: int, value: float, text: str) -> None:
+    load = PATIENT.copy()
+    load[k] = value
+    with pytest.raises(CompensationRefused, match=text + " is outside what was identified"):
+        couch.for_joints(POSE, load)
+
+
+def test_a_correction_larger_than_its_bound_is_refused() -> None:
+    _, calibration = calibrated("pps")
+    with pytest.raises(CompensationRefused, match=r"joint '\w+' would be corrected by \S+ m, the bound is 1e-05"):
+        Compensator(calibration, Bounds(travel=1e-5)).for_joints(POSE, PATIENT)
+    with pytest.raises(CompensationRefused, match=r"joint '\w+' would be corrected by \S+ rad, the bound is 1e-06"):
+        Compensator(calibration, Bounds(angle=1e-6)).for_joints(POSE, PATIENT)
+
+
+def test_a_corrected_setpoint_beyond_a_limit_is_refused_not_clipped() -> None:
+    """At the very end of the travel, on the side where the correction points outwards."""
+    _, calibration = calibrated("pps")
+    lower, upper = calibration.machine.limits()
+    couch = Compensator(calibration, Bounds(range_margin=0.1))
+    refusals = []
+    for end in (lower, upper):
+        wanted = POSE.copy()
+        wanted[1] = end[1]
+        try:
+            found = couch.for_joints(wanted, PATIENT)
+        except CompensationRefused as refused:
+            refusals.append(str(refused))
+        else:
+            assert (lower <= found.corrected).all()
+            assert (found.corrected <= upper).all()
+    assert len(refusals) == 1
+    assert refusals[0].startswith("corrected setpoint of joint 'vertical' ")
+    assert "is beyond its limits -0.28 … 0.28" in refusals[0]

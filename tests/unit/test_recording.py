@@ -1,0 +1,137 @@
+"""What a table of texts means as arrays; the file it lives in while a campaign runs."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppshw.errors import RecordingError
+from ppshw.machine import load_machine
+from ppshw.recording import Recording, columns_for, load_recording, read_table
+from ppshw.recording_file import RecordingFile
+from tests.contract.desk import MACHINE
+
+
+def read(folder: Path, *lines: str) -> Recording:
+    (folder / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    (folder / "r.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return load_recording(folder / "r.csv", load_machine(folder / "m.yaml"))
+
+
+def test_the_columns_are_the_contract_s_in_its_order(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    names = columns_for(load_machine(tmp_path / "m.yaml"), ["air"], ["treatment"], ["tilt"])
+    assert " ".join(names) == (
+        "time step load q_cmd_rail q_cmd_turn q_rail q_turn approach_rail approach_turn settle_s Fx Fy Fz Mx My Mz "
+        "P1_x P1_y P1_z P2_x P2_y P2_z P3_x P3_y P3_z treatment_x treatment_y treatment_z temp_air_C cov_tilt"
+    )
+
+
+def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", "0.3,0.4,4,5,6")
+    assert found.q.tolist() == found.q_cmd.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    assert found.points[:, 1].tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert found.seen.tolist() == [[False, True, False]] * 2
+    assert (found.has_wrench, found.has_approach) == (False, False)
+    assert not found.wrench.any()
+    assert np.isnan(found.time).all()
+    assert found.step == found.load == ("", "")
+
+
+def test_an_encoder_that_said_nothing_is_where_it_was_sent(tmp_path: Path) -> None:
+    found = read(tmp_path, "q_cmd_rail,q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.1,0.1001,0.2,0,0,0", "0.3,,0.4,0,0,0")
+    assert found.q.tolist() == [[0.1001, 0.2], [0.3, 0.4]]
+    assert found.q_cmd.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+
+
+def test_only_what_was_commanded_must_be_inside_the_limits(tmp_path: Path) -> None:
+    """An encoder may read a hair beyond the limit that the axis was sent to; a file's last decimal may round up."""
+    found = read(tmp_path, "q_cmd_rail,q_rail,q_turn,P1_x,P1_y,P1_z", "0.8000005,0.80002,0,0,0,0")
+    assert found.q[0, 0] == 0.80002
+    with pytest.raises(RecordingError, match=r"r\.csv:2: column q_cmd_rail: setpoint 0\.800002 is outside"):
+        read(tmp_path, "q_cmd_rail,q_rail,q_turn,P1_x,P1_y,P1_z", "0.800002,0.8,0,0,0,0")
+
+
+def test_time_is_utc_whatever_way_it_is_written(tmp_path: Path) -> None:
+    written = ["2026-03-02T06:00:00Z", "2026-03-02 06:00:01", "2026-03-02T08:00:02+02:00", "2026-03-02T06:00:02.000Z"]
+    found = read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *(f"{t},0,0,0,0,0" for t in written))
+    start = datetime(2026, 3, 2, 6, tzinfo=UTC).timestamp()
+    assert (found.time - start).tolist() == [0, 1, 2, 2]  # two visits in one second are no step back
+
+
+def test_temperatures_covariates_and_points_of_interest_have_their_names(tmp_path: Path) -> None:
+    found = read(tmp_path, "q_rail,q_turn,P1_x,P1_y,P1_z,treatment_x,treatment_y,treatment_z,temp_hall_C,cov_tilt,who",
+                 "0,0,0,0,0,1,2,3,21.5,1e-4,Ann", "0,0,0,0,0,,,,,,Bob")  # fmt: skip
+    assert found.temperatures["hall"][0] == 21.5
+    assert np.isnan(found.temperatures["hall"][1])
+    assert found.covariates["tilt"][0] == 1e-4
+    assert found.extra_points["treatment"][0].tolist() == [1, 2, 3]
+    assert np.isnan(found.extra_points["treatment"][1]).all()
+
+
+def test_a_part_of_a_recording_is_a_recording(tmp_path: Path) -> None:
+    rows = (f"s{k},{k / 10},0,{k},0,0,{20 + k}" for k in range(5))
+    found = read(tmp_path, "step,q_rail,q_turn,P1_x,P1_y,P1_z,temp_air_C", *rows)
+    for which in (np.array([3, 1]), np.array([False, True, False, True, False])):
+        part = found.subset(which)
+        order = np.arange(5)[which]
+        assert part.step == tuple(f"s{k}" for k in order)
+        assert part.points[:, 0, 0].tolist() == order.tolist()
+        assert part.temperatures["air"].tolist() == (20 + order).tolist()
+        assert len(part) == 2
+
+
+# --- the file --------------------------------------------------------------------------------------------------------
+def test_a_visit_is_committed_with_its_shots_or_not_at_all(tmp_path: Path) -> None:
+    with RecordingFile.create(tmp_path / "r.db", ["load", "q"], {"machine_name": "m"}) as file:
+        assert file.append({"load": "box", "q": "0.5"}, 7, [("P1", {"ppm": 2.5}), ("P2", {})]) == 1
+        with pytest.raises(RecordingError, match="has no column z"):
+            file.append({"z": "1"}, 8)
+        with pytest.raises(sqlite3.IntegrityError):  # one place in the plan is measured once
+            file.append({"q": "0.6"}, 7, [("P1", {})])
+        assert file.table() == (("load", "q"), (("box", "0.5"),))
+        assert file.shots(1) == [("P1", {"ppm": 2.5}), ("P2", {})]
+        assert file.done() == {7}
+        file.drop_visit(7)
+        assert (file.done(), file.shots(1), file.table()[1]) == (set(), [], ())
+
+
+def test_a_file_is_never_made_over_another(tmp_path: Path) -> None:
+    (tmp_path / "r.db").write_text("mine")
+    with pytest.raises(RecordingError, match=r"r\.db: exists already"):
+        RecordingFile.create(tmp_path / "r.db", ["q"], {})
+    with pytest.raises(RecordingError, match=r"the folder .*nowhere does not exist"):
+        RecordingFile.create(tmp_path / "nowhere" / "r.db", ["q"], {})
+    with pytest.raises(RecordingError, match=r"wide\.db: cannot be made \(too many columns"):
+        RecordingFile.create(tmp_path / "wide.db", [f"c{k}" for k in range(3000)], {})
+
+
+DIE = """\
+import os, sqlite3, sys
+db = sqlite3.connect(sys.argv[1], isolation_level=None)
+db.execute("PRAGMA cache_size = 1")
+db.execute("BEGIN IMMEDIATE")
+db.executemany("INSERT INTO visits (q) VALUES (?)", [("x" * 5000,)] * 50)  # spills into the file before the commit
+os._exit(1)
+"""
+
+
+def test_half_a_visit_of_a_killed_run_is_taken_back_by_whoever_reads_next(tmp_path: Path) -> None:
+    with RecordingFile.create(tmp_path / "r.db", ["q"], {}) as file:
+        file.append({"q": "1"}, 0)
+    subprocess.run([sys.executable, "-c", DIE, str(tmp_path / "r.db")], check=False)
+    assert (tmp_path / "r.db-journal").exists()
+    assert read_table(tmp_path / "r.db").rows == (("1",),)
+
+
+def test_reading_does_not_disturb_who_writes(tmp_path: Path) -> None:
+    with RecordingFile.create(tmp_path / "r.db", ["q"], {}) as file:
+        for k in range(3):
+            file.append({"q": str(k)}, k)
+            assert len(read_table(tmp_path / "r.db").rows) == k + 1
