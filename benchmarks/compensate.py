@@ -3,7 +3,7 @@
     python -m benchmarks.compensate [--short] [--realtime]
 
 Bars: median ≤ 150 µs, worst of 10⁵ ≤ 1 ms, ≥ 2·10⁵ a second in bulk. `--realtime` measures a second time under the
-first-in-first-out scheduler, as a motion controller would run (needs the right to; nothing else runs on that core then).
+first-in-first-out scheduler, as a motion controller would run (needs the right to; takes a core for some seconds).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.figures import ROOT, number, remarks, seconds, table, write
+from benchmarks.figures import ROOT, flow, number, remarks, seconds, table, write
 from ppshw.calibration import Calibration
 from ppshw.compensation import Compensator
 from ppshw.fast_setpoints import FastCompensator
@@ -39,7 +39,7 @@ SHARE = 0.9
 
 
 def calibrate(visits: int) -> Calibration:
-    """An identified machine of the paper's kind, simulated. A dozen visits make a small model: the full one takes its time."""
+    """An identified machine of the paper's kind, simulated; from few visits a small model, and soon."""
     machine = load_machine(MACHINE)
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "recording.csv"
@@ -80,7 +80,7 @@ def main() -> None:
     q = calibration.joint_range.mean(axis=1) + SHARE * np.ptp(calibration.joint_range, axis=1) * rng.uniform(
         -0.5, 0.5, (count, calibration.machine.n)
     )
-    payload = rng.uniform(*np.ascontiguousarray(calibration.payload_range.T), (count, 6))
+    payload = rng.uniform(calibration.payload_range[:, 0], calibration.payload_range[:, 1], (count, 6))
     inside = ~fast.setpoints(q, payload).refused
     q, payload = q[inside], payload[inside]
 
@@ -96,22 +96,22 @@ def main() -> None:
     few = min(3 if a.short else 60, len(q))
     plain = [seconds(lambda k=k: slow.for_joints(q[k], payload[k]), 1)[0] for k in range(few)]  # type: ignore[misc]
     off = np.array([slow.for_joints(q[k], payload[k]).corrected - corrected[k] for k in range(few)])
-    header = ["µs per setpoint", "median", "99.9 %", "worst", "worst in processor time", "above 1 ms", "taken off the core"]
-    text = f"""`python -m benchmarks.compensate{" --realtime" if a.realtime else ""}`
-
-A calibration of `machines/pps.yaml` from {calibration.provenance["visits"]} simulated visits; {len(q):,} setpoints at random poses under
-random loads, by `FastCompensator.setpoint`, in wall time: every one counts. Bars: median 150 µs, worst 1 ms.
-
-{table(header, rows)}
-
-In bulk, `FastCompensator.setpoints`: {number(len(q) / min(bulk))} a second at best, {number(len(q) / float(np.median(bulk)))} in the median
-of {len(bulk)} rounds (bar: 200,000). `Compensator.for_joints`, which also gives the uncertainty: {np.median(plain) * 1e3:.3g} ms,
-{np.median(plain) / float(rows[0][1]) * 1e6:.0f} times the one-by-one median; its setpoints differ by at most
-{np.abs(off).max() * 1e6:.2g} µm or µrad over {few} poses.
-Making a `FastCompensator` takes {min(made):.2g} s; importing numba {_import_seconds():.2g} s more; once per computer, compiling about 5 s.
-
-{remarks(load)}
-"""
+    header = ["wall µs per setpoint", "median", "99.9 %", "worst", "worst, processor time", "> 1 ms", "switched away"]
+    first = flow(
+        f"A calibration of `machines/pps.yaml` from {calibration.provenance['visits']} simulated visits; {len(q):,} "
+        "setpoints at random poses under random loads, by `FastCompensator.setpoint`, in wall time: every one counts. "
+        "`switched away`: how often the system gave the core to another process. Bars: median 150 µs, worst 1 ms."
+    )
+    second = flow(
+        f"In bulk, `FastCompensator.setpoints`: {number(len(q) / min(bulk))} a second, median of {len(bulk)} rounds "
+        f"{number(len(q) / float(np.median(bulk)))} (bar: 200,000). `Compensator.for_joints`, which also gives the "
+        f"uncertainty: {np.median(plain) * 1e3:.3g} ms, {np.median(plain) / float(rows[0][1]) * 1e6:.0f} times; "
+        f"over {few} poses the two differ by at most {np.abs(off).max() * 1e6:.2g} µm or µrad. Making a "
+        f"`FastCompensator` takes {min(made):.2g} s, importing numba before it {_import_seconds():.2g} s, compiling "
+        "once per computer about 5 s."
+    )
+    command = f"`python -m benchmarks.compensate{' --realtime' if a.realtime else ''}`"
+    text = f"{command}\n\n{first}\n\n{table(header, rows)}\n\n{second}\n\n{remarks(load)}\n"
     print(text)
     if not a.short:
         write("compensate", text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import statistics
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -16,10 +17,10 @@ BEGIN, END = "<!-- speed:begin -->", "<!-- speed:end -->"
 PARTS = ("peers", "identify", "compensate")
 INTRODUCTION = """## Speed
 
-Each table is one run of the command above it: its ratios hold for that run, whatever the machine. One thread throughout. Times are
-processor time, which for one thread is the wall time of a machine that has nothing else to do (these shared theirs), except where wall
-time is said. The least of several rounds counts, since a busy neighbour only ever adds (cache and memory are shared too); the median
-stands behind it in brackets.
+Each table is one run of the command above it: its ratios hold for that run, whatever the machine. One thread
+throughout. Times are processor time, which for one thread is the wall time of a machine that has nothing else to do
+(this one was shared), except where wall time is said. The least of several rounds counts, since a busy neighbour only
+ever adds (cache and memory are shared too); the median stands behind it in brackets.
 """
 
 
@@ -50,13 +51,16 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
+def flow(text: str) -> str:
+    """A paragraph in lines of the file's width."""
+    return textwrap.fill(text, 120, break_long_words=False, break_on_hyphens=False)
+
+
 def remarks(load_before: tuple[float, float, float]) -> str:
     """When, on what, and how busy it was: a load above 0 before the start is other people's work."""
-    cpu = next(
-        (line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
-        platform.processor(),
-    )
-    return (
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    cpu = next((line.split(":", 1)[1].strip() for line in lines if "model name" in line), platform.processor())
+    return flow(
         f"{datetime.now(UTC):%Y-%m-%d}, {cpu}, {os.cpu_count()} cores, Python {platform.python_version()}; "
         f"load average {load_before[0]:.1f} before the run, {os.getloadavg()[0]:.1f} after."
     )

@@ -1,4 +1,4 @@
-"""pybotics, in an environment of its own. Called by peers.py; see peer_tasks.py. Lengths in mm, as in its documentation."""
+"""pybotics, in an environment of its own. Called by peers.py; see peer_tasks.py. Lengths in mm, as in its manual."""
 
 from __future__ import annotations
 

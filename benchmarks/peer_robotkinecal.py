@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import peer_tasks
-from robotkinecal import SerialRobotKineCal
 from roboticstoolbox import ET, ETS, Link, Robot
+from robotkinecal import SerialRobotKineCal
 from spatialmath import SE3
 
 

@@ -1,4 +1,4 @@
-"""What every peer's script shares: read the task, time it, write the answer. Runs in the peers' environments: numpy only.
+"""What every peer's script shares: read the task, time it, write the answer. In their environments: numpy only.
 
     python peer_X.py TASK.npz ANSWER.json
 """

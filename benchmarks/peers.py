@@ -2,9 +2,9 @@
 
     python -m benchmarks.peers [--short] [--rounds N] [--data DIR]
 
-The peers live in environments of their own, .bench-venv/figaroh and .bench-venv/pybotics (they cannot share one: numpy 2
-and numpy 1), built at the first run from environment-*.txt. The arm is a UR5 measured by a laser tracker: 1,000 poses to
-identify and 20 to test, not part of this project (docs/real-data.md); without it that half is left out, and says so.
+The peers live in environments of their own, .bench-venv/figaroh and .bench-venv/pybotics (they cannot share one: numpy
+2 and numpy 1), built at the first run from environment-*.txt. The arm is a UR5 measured by a laser tracker: 1,000 poses
+to identify and 20 to test, not part of this project (docs/real-data.md); without it that half is left out, and says so.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.figures import ROOT, number, remarks, seconds, span, table, write
+from benchmarks.figures import ROOT, flow, number, remarks, seconds, span, table, write
 from ppshw.calibration import Calibration
 from ppshw.converters import ur5
 from ppshw.evaluation import residuals
@@ -122,12 +122,14 @@ def kinematics(machine: Machine, poses: int, rounds: int, pythons: dict[str, Pat
         for who, a in answers.items()
     ]
     header = ["µs per pose", "forward", "joint Jacobian", "error Jacobian", "× ours: forward", "joint", "error"]
-    return (
-        f"UR5, {poses:,} random poses, each Jacobian with the forward solution that it needs. ppshw takes all poses in one call; the "
-        "peers take them one by one from Python, which is how they are called. The error Jacobian has 36 columns in pinocchio and "
-        "robotkinecal (its `Q_Matrix`), 42 here (the base too); pybotics has none and differentiates its 24 link parameters "
-        f"numerically. pybotics' error Jacobian and robotkinecal are timed over every tenth pose.\n\n{table(header, rows)}\n"
+    text = flow(
+        f"UR5, {poses:,} random poses, each Jacobian with the forward solution that it needs. ppshw takes all poses in "
+        "one call; the peers take them one by one from Python, which is how they are called. The error Jacobian has 36 "
+        "columns in pinocchio and robotkinecal (its `Q_Matrix`), 42 here (the base too); pybotics has none and "
+        "differentiates its 24 link parameters numerically. pybotics' error Jacobian and robotkinecal are timed over a "
+        "tenth of the poses."
     )
+    return f"{text}\n\n{table(header, rows)}\n"
 
 
 def _ratio(answer: dict[str, Any], ours: dict[str, Any], key: str) -> str:
@@ -188,8 +190,10 @@ def calibration(machine: Machine, data: Path, rounds: int, most: int, pythons: d
             "all": "ppshw, full model (functions of position, own weight)",
         }[name]
         error = np.linalg.norm(residuals(test, found[-1])[:, 0], axis=1) * 1e3
-        rows.append([label, str(len(model.parameters())), span(times, " s"), "1" if name == "geometry" else number(
-            own["all"] / own["geometry"]), f"{error.mean():.3f}", f"{error.max():.3f}", "yes, with priors"])  # fmt: skip
+        rows.append([
+            label, str(len(model.parameters())), span(times, " s"), number(own[name] / own["geometry"]),
+            f"{error.mean():.3f}", f"{error.max():.3f}", "–",
+        ])  # fmt: skip
     frame, _ = align(machine, train, targets_free=True)
     task = {
         "task": "calibrate", "q": train.q, "points": train.points[:, 0], "q_test": test.q, "measuring_in_base": frame,
@@ -208,11 +212,13 @@ def calibration(machine: Machine, data: Path, rounds: int, most: int, pythons: d
             f"{'yes' if a['converged'] else 'no'}, {a['evaluations']} evaluations",
         ])  # fmt: skip
     header = ["", "parameters", "time", "× ours", "test mean mm", "test max mm", "converged"]
-    return (
-        f"The same UR5, {len(train):,} measured poses to identify, {len(test)} to test; set-up included, reading files and importing not. "
-        "Every one estimates the measuring frame and the reflector too; pybotics and robotkinecal start where our alignment puts the "
-        f"measuring frame, figaroh finds its own; pybotics is stopped after {most} evaluations.\n\n{table(header, rows)}\n"
+    text = flow(
+        f"The same UR5, {len(train):,} measured poses to identify, {len(test)} to test; set-up included, reading files "
+        "and importing not. Every one estimates the measuring frame and the reflector too; pybotics and robotkinecal "
+        "start where our alignment puts the measuring frame, figaroh finds its own. One round of pybotics, stopped "
+        f"after {most} evaluations."
     )
+    return f"{text}\n\n{table(header, rows)}\n"
 
 
 def _identify(model: Model, recording: Recording) -> Calibration:
