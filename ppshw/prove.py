@@ -47,13 +47,14 @@ SIZES = (0.3, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Spec:
-    """One case to be made: the arguments of the generator."""
+    """One case to be made: the generator's arguments. fit = visits leaves nothing held out, and no gain to score."""
 
     seed: int
     machine: str
     effect: str
     size: float
     visits: int = 600
+    fit: int = 450
 
     @property
     def name(self) -> str:
@@ -64,11 +65,12 @@ class Spec:
         return [
             sys.executable, "-m", "simulators.concealed", "--seed", str(self.seed), "--machine", self.machine,
             "--effect", self.effect, "--size", str(self.size), "--visits", str(self.visits),
+            "--fit", str(self.fit),
             "--out", str(case), "--sealed", str(sealed),
         ]  # fmt: skip
 
 
-def deck(count: int, seed: int, visits: int = 600) -> list[Spec]:
+def deck(count: int, seed: int, visits: int = 600, fit: int = 450) -> list[Spec]:
     """The first `count` cards of an endless shuffled deck; the same for the same seed, however many are asked for.
 
     One round: every effect at every size, 20 nulls, 12 pairs and 8 unknown effects at the repeatability's size; a
@@ -82,7 +84,7 @@ def deck(count: int, seed: int, visits: int = 600) -> list[Spec]:
         for k in rng.permutation(len(one)):
             machine = "arm6" if rng.random() < 0.25 else "pps"
             effect, size = one[k]
-            cards.append(Spec(1000 * seed + len(cards), machine, effect, size, visits))
+            cards.append(Spec(1000 * seed + len(cards), machine, effect, size, visits, fit))
     return cards[:count]
 
 
@@ -98,6 +100,7 @@ def run_prove(
     diagnoser  `ppshw diagnose` by default; must be importable by name, since it runs in another process
     workers    processes at a time; 0: all in this one, for tests and debuggers
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they share the cores already
     for folder in ("cases", "answers", "sealed", "scores"):
         (out / folder).mkdir(parents=True, exist_ok=True)
     if len({spec.name for spec in cases}) < len(cases):

@@ -81,9 +81,13 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)
+    return {**score_of(truth, told, answer, gained, seconds), "visits": len(recording)}
+
+
+def score_of(truth: Json, told: Sequence[Json], answer: Json, gained: Json | None, seconds: float) -> Json:
+    """What the table reads: case, effects with their strengths, the answer and how right it was, gain and time."""
     return {
         **{k: truth[k] for k in ("seed", "machine", "asked", "size", "repeatability_rms_mm")},
-        "visits": len(recording),
         "truth": told,
         "answer": answer,
         **judge(told, answer),

@@ -86,12 +86,14 @@ def moving_weight(scene: Scene, rng: np.random.Generator) -> Concealed:
         k, part = able[int(rng.integers(len(able)))]
         shape = own[:, k, part] / np.abs(own[:, k, part]).max()
     else:
-        k = int(rng.integers(1, len(chain.joints)))
-        along = np.cumsum(rng.uniform(0.5, 1.5, 2))[0] * (0.5 + 0.5 * scene.unit_position(k)) ** 2
-        arms = scene.poses[:, k, :3, 3] - scene.poses[:, k - 1, :3, 3]
-        moment = np.einsum("nba,nb->na", scene.poses[:, k - 1, :3, :3], np.cross(arms, chain.gravity))
-        turned = moment * along[:, None]
-        k, part = k - 1, 3 + int(np.argmax(turned.std(axis=0)))
+        # hangs from the end of link `far`, one of those that are not on top of the link below; bends that one below
+        arms = scene.poses[:, 1:, :3, 3] - scene.poses[:, :-1, :3, 3]
+        level = np.linalg.norm(np.cross(arms, chain.gravity), axis=2).max(axis=0)
+        far = 1 + int(rng.choice(np.flatnonzero(level > 0.3 * level.max())))
+        hanging = np.clip(0.5 + 0.5 * scene.unit_position(far), 0.0, 1.0) ** rng.uniform(1.0, 2.0)
+        moment = np.cross(arms[:, far - 1], chain.gravity) * hanging[:, None]
+        turned = np.einsum("nba,nb->na", scene.poses[:, far - 1, :3, :3], moment)
+        k, part = far - 1, 3 + int(np.argmax(turned.std(axis=0)))
         shape = turned[:, part - 3] / np.abs(turned[:, part - 3]).max()
     moved = [chain.joints[j].name for j in range(k, len(chain.joints)) if np.ptp(scene.q[:, j]) > 0]
     return Concealed(
