@@ -19,9 +19,10 @@ Array = NDArray[np.float64]
 # Sines per function, at most: with 16 the shortest wave is a seventh of the travel.
 MOST_WAVES = 16
 COMPLIANCE_DEGREE = 3
-# A joint's motion along its own freedom gets shorter waves too where visits abound: one per 16 visits, 128 at most.
-# From how many visits on is our choice: a campaign like the paper's (669) hardly resolves a gear; it is spared the time.
-OWN_FROM_VISITS = 750
+# A joint's motion along its own freedom gets shorter waves too where visits abound: one for 16 visits, 128 at most.
+# From how many visits on is our choice: a campaign like the paper's (669) hardly resolves a gear, and with 1,000 of the
+# UR5 (docs/figures.md) a tenth less residual would cost twice the time.
+OWN_FROM_VISITS = 1100
 VISITS_PER_OWN_WAVE = 16
 MOST_OWN_WAVES = 128
 

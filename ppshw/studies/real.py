@@ -1,6 +1,6 @@
 """Study: what the model misses on recordings of real machines, cross-validated, and from one floor to another.
 
-    python -m ppshw.studies.real [--short] [--data DIR] [--out DIR]
+    python -m ppshw.studies.real [--short] [--only hilti|ur10|ur5] [--data DIR] [--out DIR]
 
 Writes real.json, real.md and real.svg. The recordings are their publishers' (docs/real-data.md); without them: exit 2.
 """
@@ -102,6 +102,7 @@ class Study:
 
     data: Path
     short: bool
+    only: str
     bar: Bar
     rows: list[Row] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
@@ -110,12 +111,13 @@ class Study:
 
     def load(self) -> None:
         """Convert and read every recording before the first fit. Raises BadInput when one is absent."""
-        for _, _, source in FILES.values():
+        wanted = {name: file for name, file in FILES.items() if name.startswith(self.only)}
+        for _, _, source in wanted.values():
             if not (self.data / source).is_file():
                 raise BadInput(f"{self.data / source}: no such recording; --data or PPSHW_DATA says where they are")
         with tempfile.TemporaryDirectory() as folder:
-            for k, (name, (machine_name, convert, source)) in enumerate(FILES.items()):
-                self.bar("reading recordings", k, len(FILES))
+            for k, (name, (machine_name, convert, source)) in enumerate(wanted.items()):
+                self.bar("reading recordings", k, len(wanted))
                 machine = load_machine(TOP / "machines" / "real" / f"{machine_name}.yaml")
                 out = Path(folder) / f"{name}.csv"
                 convert(self.data / source, out)
@@ -203,7 +205,6 @@ def ur5_grid_and_test(study: Study) -> None:
     models: dict[str, Fit] = {
         "nominal": nominal,
         "straight lines": fitted(straight_lines),
-        "joint, no fine waves": fitted(smooth),
         "joint": fitted(joint_model),
     }
     for label, fit in models.items():
@@ -218,19 +219,25 @@ def ur5_grid_and_test(study: Study) -> None:
     study.check("UR5 test with straight lines alone, mean", 0.105, 0.100, lines)
 
 
-def run(data: Path, short: bool, bar: Bar) -> Study:
-    study = Study(data, short, bar)
+def run(data: Path, short: bool, only: str, bar: Bar) -> Study:
+    """only: "hilti", "ur10", "ur5" or "" for everything."""
+    study = Study(data, short, only, bar)
     study.load()
-    hilti_flat(study)
-    hilti_across(study)
-    ur5_grid_and_test(study)
-    for name in ("ur10 C",) if short else ("ur10 C", "ur10 B"):
-        ur10_series(study, name)
+    if only in ("", "hilti"):
+        hilti_flat(study)
+        hilti_across(study)
+    if only in ("", "ur5"):
+        ur5_grid_and_test(study)
+    if only in ("", "ur10"):
+        for name in ("ur10 C",) if short else ("ur10 C", "ur10 B"):
+            ur10_series(study, name)
     return study
 
 
 def own_motions(study: Study) -> list[tuple[str, Array, Array]]:
     """What the UR10's first three joints do about their own axes beyond a straight line: name, q and error [rad]."""
+    if "ur10 C" not in study.loaded:
+        return []
     machine, recording = study.loaded["ur10 C"]
     calibration = identified(joint_model, machine, recording)
     count = 600
@@ -254,11 +261,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=default, help="where the recordings are (or PPSHW_DATA)")
     parser.add_argument("--out", type=Path, default=Path("real-study"), help="folder for real.json, real.md, real.svg")
     parser.add_argument("--short", action="store_true", help="blocks only, one fold of five, no series B: a minute")
+    parser.add_argument("--only", default="", choices=("hilti", "ur10", "ur5"), help="one machine instead of all three")
     args = parser.parse_args(argv)
     began = time.perf_counter()
     try:
         with Bar() as bar:
-            study = run(args.data, args.short, bar)
+            study = run(args.data, args.short, args.only, bar)
             motions = own_motions(study)
     except PpshwError as exc:
         print(exc, file=sys.stderr)

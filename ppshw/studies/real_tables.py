@@ -110,10 +110,12 @@ def draw(residuals: dict[tuple[str, str], Array], motions: Sequence[tuple[str, A
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(13.5, 7.2))
         FigureCanvasSVG(figure)
-        axes: list[Axes] = [figure.add_subplot(2, 3, k + 1) for k in range(6)]
-        for ax, (name, title) in zip(axes, panels, strict=False):
-            _shares(ax, {model: r for (data, model), r in residuals.items() if data == name}, title)
-        _motions(axes[5], motions)
+        for k, (name, title) in enumerate(panels):
+            models = {model: r for (data, model), r in residuals.items() if data == name}
+            if models:
+                _shares(figure.add_subplot(2, 3, k + 1), models, title)
+        if motions:
+            _motions(figure.add_subplot(2, 3, 6), motions)
         figure.savefig(out, metadata={"Date": None, "Creator": None} if out.suffix == ".svg" else None)
 
 

@@ -67,7 +67,7 @@ def rms(errors: Array) -> float:
 
 def test_a_gear_that_errs_18_times_per_revolution_is_taken_out_and_the_file_keeps_it(tmp_path: Path) -> None:
     machine = two_links(tmp_path)
-    known, unseen = geared_elbow(machine, tmp_path, 900, 1), geared_elbow(machine, tmp_path, 200, 2)
+    known, unseen = geared_elbow(machine, tmp_path, 1200, 1), geared_elbow(machine, tmp_path, 200, 2)
     nothing = rms(unseen.points - nominal_points(unseen.q))
     calibration = Calibration.of(estimate(joint_model(machine, known), known), known, "joint")
     left = residuals(unseen, calibration)
@@ -88,12 +88,12 @@ def nominal_points(q: Array) -> Array:
 
 def test_fine_waves_are_asked_for_only_where_visits_abound(tmp_path: Path) -> None:
     machine = two_links(tmp_path)
-    few, many = geared_elbow(machine, tmp_path, 669, 3), geared_elbow(machine, tmp_path, 960, 4)
+    few, many = geared_elbow(machine, tmp_path, 669, 3), geared_elbow(machine, tmp_path, 1200, 4)
     assert [t.kind for t in joint_model(machine, few).terms].count("own_motion") == 0
     own = [t for t in joint_model(machine, many).terms if t.kind == "own_motion"]
     assert [t.frame for t in own] == [1, 2]
-    # 960 visits, 16 for each wave: waves 17 … 60
-    assert [len(t.parameters(machine.frame_names)) for t in own] == [44, 44]
+    # 1,200 visits, 16 for each wave: waves 17 … 75
+    assert [len(t.parameters(machine.frame_names)) for t in own] == [59, 59]
 
 
 def test_blocks_of_ten_visits_go_to_the_folds_in_turn() -> None:
