@@ -32,6 +32,8 @@ _BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDI
              errno.ELOOP, errno.EROFS, errno.EINVAL}  # fmt: skip
 
 
+# What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
+REPORT_S, EVALUATED_PER_S, READ_PER_S = 4.0, 7000.0, 5e6  # seconds, visits a second, bytes a second
 _NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
 
 
@@ -81,9 +83,10 @@ def import_(a: argparse.Namespace) -> None:
     out = _new_file(a.out, a.csv, machine.file)
     if out.exists():
         raise BadInput(f"{out}: exists already, expected a new file")
-    table = read_table(a.csv)
-    check_machine(table, machine)
-    recording = parse_table(table, machine)
+    with Bar() as bar, bar.expect("import", Path(a.csv).stat().st_size / READ_PER_S if Path(a.csv).is_file() else 0.0):
+        table = read_table(a.csv)
+        check_machine(table, machine)
+        recording = parse_table(table, machine)
     meta = {
         "machine": Path(machine.file).read_text(encoding="utf-8"),
         "machine_name": machine.name,
@@ -164,7 +167,9 @@ def evaluate(a: argparse.Namespace) -> None:
 
     machine = _machine(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
-    answer = run(load_recording(a.rec, machine), machine, calibration, refit_base=a.refit_base)
+    recording = load_recording(a.rec, machine)
+    with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
+        answer = run(recording, machine, calibration, refit_base=a.refit_base)
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", _FIGURE_HEAD]
     _say(a, answer, "\n".join([*lines, *(_figure_row(name, values) for name, values in rows)]))
@@ -256,8 +261,20 @@ def move(a: argparse.Namespace) -> None:
 def report(a: argparse.Namespace) -> None:
     from ppshw.report import build_report
 
-    page = build_report(Path(a.dir))
+    with Bar() as bar, bar.expect("report", REPORT_S):
+        page = build_report(Path(a.dir))
     _say(a, {"report": str(page)}, str(page))
+
+
+def prove(a: argparse.Namespace) -> None:
+    from ppshw.prove import deck, run_prove, sentences, short_deck
+
+    cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed)
+    with Bar() as bar:
+        answer = run_prove(Path(a.out), cases, workers=a.workers, say=bar)
+    _say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
+    if len(answer["lost"]) == answer["cases"]:
+        raise PpshwError(f"{a.out}: every case was lost, the first: {next(iter(answer['lost'].values()))}")
 
 
 # --- the bench side ----------------------------------------------------------------------------------------------
@@ -397,7 +414,15 @@ def _seed(text: str) -> int:
     return value
 
 
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
 _positive.__name__, _seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
+_count.__name__ = "number of 1 or more"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -493,6 +518,13 @@ def _parser() -> argparse.ArgumentParser:
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR")
+
+    p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
+    p.add_argument("--out", required=True, metavar="DIR")
+    p.add_argument("--cases", type=_count, default=108, metavar="N", help="default: 108, the whole deck once")
+    p.add_argument("--seed", type=_seed, default=1)
+    p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")
+    p.add_argument("--workers", type=_count, default=2, metavar="N", help="processes at a time (default: 2)")
     return parser
 
 

@@ -88,6 +88,15 @@ def deck(count: int, seed: int, visits: int = 600, fit: int = 450) -> list[Spec]
     return cards[:count]
 
 
+def short_deck(seed: int) -> list[Spec]:
+    """A dozen short campaigns: two nulls, clear marks at twice the repeatability, a pair, a stranger."""
+    clear = ("backlash", "friction_hysteresis", "thermal_growth", "periodic_transmission", "clearance", "zero_shift",
+             "target_moved", "tracker_scale")  # fmt: skip
+    cards = [("pps", "null", 0.0), ("arm6", "null", 0.0), *(("pps", effect, 2.0) for effect in clear),
+             ("pps", "pair", 1.0), ("pps", "unknown", 1.0)]  # fmt: skip
+    return [Spec(1000 * seed + k, *card, 300, 225) for k, card in enumerate(cards)]
+
+
 def run_prove(
     out: Path,
     cases: Sequence[Spec],
