@@ -184,7 +184,7 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     made = subprocess.run(spec.command(case, sealed), capture_output=True, text=True, check=False)
     if made.returncode != 0:
         raise BadInput(
-            f"case {spec.name}: {made.stderr.strip() or f'the generator ended with {made.returncode}'}"
+            f"{made.stderr.strip() or f'the generator ended with {made.returncode}'}"
         )
     with (out / "seals.txt").open("a", encoding="utf-8") as file:  # one short line: appended whole
         file.write(f"{spec.name} {made.stdout.strip()} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")
@@ -207,7 +207,7 @@ def ppshw_diagnose(case: Path, answers: Path) -> Json:
     ]  # fmt: skip
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     if run.returncode != 0:
-        raise PpshwError(f"case {case.name}: diagnose ended with {run.returncode}: {run.stderr.strip()}")
+        raise PpshwError(f"diagnose ended with {run.returncode}: {run.stderr.strip()}")
     return read_answer(said)
 
 
