@@ -63,10 +63,10 @@ def _bars(scores: Sequence[Json]) -> list[Json]:
     fair = [s for s in single(scores) if 5 <= (s["truth"][0]["sqrt_lambda"] or 0) < 6]
     bars = [
         _bar(
-            "nulls: a finding",
+            "nulls: anything found",
             "at most",
             0.05,
-            [bool(s["answer"]["findings"]) for s in scores if not s["truth"]],
+            [s["false_alarm"] for s in scores if not s["truth"]],
         )
     ]
     for size, wanted in ((0.5, 0.65), (1.0, 0.85), (2.0, 0.95)):
