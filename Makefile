@@ -4,12 +4,16 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test env lint types layers unit clean
+.PHONY: demo test picture env lint types layers unit clean
 
 demo: env
 	$(BIN)/ppshw demo --out demo-out
 
 test: lint types layers unit
+
+# The README's picture, from what `make demo` left.
+picture: env
+	$(BIN)/python docs/img/demo_picture.py demo-out docs/img/demo.png
 
 env: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt

@@ -103,7 +103,9 @@ def run_demo(
         "seconds": round(time.perf_counter() - started, 1),
     }
     (out / "demo.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    say("report", 0, 1)
     build_report(out)
+    say("report", 1, 1)
     return answer
 
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 WIDTH = 79
 _COUNTED = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
-_FORETOLD = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{postfix}]"
+_FORETOLD = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<LEFT]"
 _TIMED = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]"
 
 
@@ -37,7 +37,7 @@ class Bar:
         if name != self._name:
             self._open(name, total, _COUNTED if seconds_left is None else _FORETOLD)
         if seconds_left is not None:
-            self._bar.set_postfix_str(tqdm.format_interval(seconds_left), refresh=False)
+            self._bar.bar_format = _FORETOLD.replace("LEFT", tqdm.format_interval(seconds_left))
         self._bar.update(done - self._bar.n)
 
     @contextmanager
@@ -46,30 +46,38 @@ class Bar:
         if seconds < 1.0:
             yield
             return
-        self._open(name, seconds, _TIMED)
-        over = threading.Event()
-        ticking = threading.Thread(target=self._tick, args=(over, seconds), daemon=True)
-        ticking.start()
+        self._open(name, seconds, _TIMED, seconds)
         try:
             yield
         finally:
-            over.set()
-            ticking.join()
             self.close()
 
     def close(self) -> None:
         if self._bar is not None:
+            self._over.set()
+            if self._ticking.is_alive():
+                self._ticking.join()
             self._bar.close()
         self._bar, self._name = None, ""
 
-    def _open(self, name: str, total: float, form: str) -> None:
+    def _open(self, name: str, total: float, form: str, seconds: float | None = None) -> None:
         self.close()
         self._name = name
         self._bar = tqdm(
             total=total, desc=name.replace("_", " "), bar_format=form, delay=1, disable=None, leave=False, ncols=WIDTH
         )
+        self._over = threading.Event()
+        self._ticking = threading.Thread(target=_tick, args=(self._bar, self._over, seconds), daemon=True)
+        if not self._bar.disable:
+            self._ticking.start()
 
-    def _tick(self, over: threading.Event, seconds: float) -> None:
-        began = time.monotonic()
-        while not over.wait(0.2):
-            self._bar.update(min(seconds, time.monotonic() - began) - self._bar.n)
+
+def _tick(bar: Any, over: threading.Event, seconds: float | None) -> None:
+    """Keep the clock on the bar going, and the bar too where time is all that is known."""
+    began = time.monotonic()
+    while not over.wait(0.25):
+        passed = time.monotonic() - began
+        if seconds is not None:
+            bar.n = min(seconds, passed)
+        if passed > 1.0:
+            bar.refresh()
