@@ -38,7 +38,7 @@ class Clock(Protocol):
 class WallClock:
     """Real time; `speed` > 1 runs a simulated plant in another process faster than real time.
 
-    epoch   seconds since 1970 at which hurried time and real time agreed: every process that is given the same epoch and
+    epoch   seconds since 1970 at which hurried time and real time agreed: every process given the same epoch and
             speed reads the same time of day, so that a run that is taken up again finds it later and not earlier
     """
 
@@ -152,7 +152,7 @@ class Tracker(Protocol):
     def set_atmosphere(self, atmosphere: Atmosphere) -> None: ...
 
     def measure(self, target: str, expected: Array) -> Shot:
-        """Point at `expected` (3,) [m, tracker frame], lock on, measure. Raises BeamLost when nothing is found there."""
+        """Point at `expected` (3,) [m, tracker frame], lock on, measure. Raises BeamLost when nothing is there."""
 
     def close(self) -> None: ...
 

@@ -33,7 +33,7 @@ _BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDI
 
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
-REPORT_S, EVALUATED_PER_S, READ_PER_S = 4.0, 7000.0, 5e6  # seconds, visits a second, bytes a second
+REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
 _NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
 
 
@@ -129,7 +129,7 @@ def identify(a: argparse.Namespace) -> None:
     out = _new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    with Bar() as bar:
+    with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
         estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
     calibration = Calibration.of(estimate, recording, a.method)
     calibration.save(out)

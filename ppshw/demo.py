@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from ppshw.evaluation import figures
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import Recording, load_recording
+from ppshw.recording_file import only_writer
 from ppshw.report import build_report
 from ppshw.verification import point_errors, repeatability
 from simulators.clock import SteppedClock
@@ -59,58 +61,60 @@ def run_demo(
         raise BadInput(f"{machine_file}: the demo needs a point named '{POINT}' in tip.points")
     for name in campaigns.values():  # refuse before anything is written
         plan_campaign(load_script(name), machine)
-    machine_copy = _fresh(out, machine_file)
-    machine = load_machine(machine_copy)
-    clock = SteppedClock()
-    with SimulatedHardware(machine_copy, clock, out, seed=seed) as hardware:
-        site = load_site(hardware.write_site(out / "site.yaml"))
-        operator = AutomaticOperator(lambda load: hardware.put_on(load.mass, load.com), "simulated")
+    with _fresh(out, machine_file) as machine_copy:
+        machine = load_machine(machine_copy)
+        clock = SteppedClock()
+        with SimulatedHardware(machine_copy, clock, out, seed=seed) as hardware:
+            site = load_site(hardware.write_site(out / "site.yaml"))
+            operator = AutomaticOperator(lambda load: hardware.put_on(load.mass, load.com), "simulated")
 
-        def measure(name: str, setpoint_map: SetpointMap | None = None, label: str = "as planned") -> Recording:
-            plan = plan_campaign(load_script(campaigns[name]), machine)
-            with open_bench(site, clock, hardware.ports) as bench:
-                run_campaign(
-                    plan, bench, out / f"{name}.db", operator,
-                    setpoint_map=setpoint_map, map_label=label, progress=lambda p: say(name, p.done, p.total),
-                )  # fmt: skip
-            return load_recording(out / f"{name}.db", machine)
+            def measure(name: str, setpoint_map: SetpointMap | None = None, label: str = "as planned") -> Recording:
+                plan = plan_campaign(load_script(campaigns[name]), machine)
+                with open_bench(site, clock, hardware.ports) as bench:
+                    run_campaign(
+                        plan, bench, out / f"{name}.db", operator,
+                        setpoint_map=setpoint_map, map_label=label, progress=lambda p: say(name, p.done, p.total),
+                    )  # fmt: skip
+                return load_recording(out / f"{name}.db", machine)
 
-        recording = measure("campaign")
-        scatter = repeatability(measure("repeatability"), machine, POINT)
-        before = point_errors(measure("verification_nominal", _as_wanted, "nominal"), machine, POINT)
-        identified = time.perf_counter()
-        estimate = identify(machine, recording, method, lambda k, n: say("identify", k, n))
-        identify_s = time.perf_counter() - identified
-        calibration = Calibration.of(estimate, recording, method)
-        calibration.save(out / "calibration.json")
-        corrected = Compensator(calibration).setpoint_map()
-        after = point_errors(
-            measure("verification_compensated", corrected, calibration.provenance["recording_sha256"]), machine, POINT
-        )
-    answer = {
-        "uncompensated": figures(before),
-        "compensated": figures(after),
-        "repeatability_mm": scatter["p98_6_mm"],
-        "repeatability": scatter,
-        "visits": len(recording),
-        "readings": int(recording.seen.sum()),
-        "verification_visits": len(after),
-        "loads": len(set(recording.load)),
-        "method": method,
-        "seed": seed,
-        "identify_seconds": round(identify_s, 2),
-        "machine_hours": round(clock.now() / 3600, 1),
-        "seconds": round(time.perf_counter() - started, 1),
-    }
-    (out / "demo.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
-    say("report", 0, 1)
-    build_report(out)
-    say("report", 1, 1)
-    return answer
+            recording = measure("campaign")
+            scatter = repeatability(measure("repeatability"), machine, POINT)
+            before = point_errors(measure("verification_nominal", _as_wanted, "nominal"), machine, POINT)
+            identified = time.perf_counter()
+            estimate = identify(machine, recording, method, lambda k, n: say("identify", k, n))
+            identify_s = time.perf_counter() - identified
+            calibration = Calibration.of(estimate, recording, method)
+            calibration.save(out / "calibration.json")
+            corrected, label = Compensator(calibration).setpoint_map(), calibration.provenance["recording_sha256"]
+            after = point_errors(measure("verification_compensated", corrected, label), machine, POINT)
+        answer = {
+            "uncompensated": figures(before),
+            "compensated": figures(after),
+            "repeatability_mm": scatter["p98_6_mm"],
+            "repeatability": scatter,
+            "visits": len(recording),
+            "readings": int(recording.seen.sum()),
+            "verification_visits": len(after),
+            "loads": len(set(recording.load)),
+            "method": method,
+            "seed": seed,
+            "identify_seconds": round(identify_s, 2),
+            "machine_hours": round(clock.now() / 3600, 1),
+            "seconds": round(time.perf_counter() - started, 1),
+        }
+        (out / "demo.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+        say("report", 0, 1)
+        build_report(out)
+        say("report", 1, 1)
+        return answer
 
 
-def _fresh(out: Path, machine_file: Path) -> Path:
-    """The folder without what an earlier demo left there; other files stay, and nobody else's recording is touched."""
+@contextmanager
+def _fresh(out: Path, machine_file: Path) -> Iterator[Path]:
+    """The folder without what an earlier demo left there; other files stay, and nobody else's recording is touched.
+
+    Yields the machine file's copy in it; no other demo may use the folder meanwhile.
+    """
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
@@ -119,10 +123,11 @@ def _fresh(out: Path, machine_file: Path) -> Path:
     there = [name for name in ours if (out / name).exists()]
     if there and not (out / MARK).exists():
         raise BadInput(f"{out}: holds {there[0]}, which no demo made; expected another folder")
-    (out / MARK).write_text("made by ppshw demo; the next one with the same --out replaces it\n", encoding="utf-8")
-    for name in there:
-        (out / name).unlink()
-    return Path(shutil.copyfile(machine_file, out / "machine.yaml"))
+    with only_writer(out / "demo"):
+        (out / MARK).write_text("made by ppshw demo; the next one with this --out replaces it\n", encoding="utf-8")
+        for name in there:
+            (out / name).unlink()
+        yield Path(shutil.copyfile(machine_file, out / "machine.yaml"))
 
 
 def _as_wanted(wanted: Array, wrench: Array, here: Array) -> Array:
