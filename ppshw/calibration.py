@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import FrameTerm
+from ppshw.terms.effect import Effect
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.geometric import Geometric
 from ppshw.terms.own_motion import OwnMotion
@@ -49,6 +50,7 @@ class Calibration:
     joint_range         (n, 2) what was sampled of every joint                 [m, rad]
     payload_range       (6, 2) what was sampled of the payload, sensor frame   [N, N·m]
     provenance          method, hashes, version, date, counts
+    effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
     """
 
     model: Model
@@ -60,6 +62,8 @@ class Calibration:
     payload_range: Array
     sampled: dict[str, list[float]]
     provenance: dict[str, Any]
+    effects: tuple[Effect, ...] = ()
+    reference: dict[str, float] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
@@ -137,6 +141,8 @@ class Calibration:
             "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
             "noise": {"pose": self.noise.pose.tolist(), "instrument": self.noise.instrument},
             "terms": terms,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "reference": self.reference,
             "covariance": _pack(self.covariance),
         }
 
@@ -219,6 +225,8 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         np.array([data["valid"]["payload"][c] for c in WRENCH_COMPONENTS], dtype=float).reshape(6, 2),
         data["sampled"],
         data["provenance"],
+        tuple(Effect.from_dict(item) for item in data.get("effects", [])),
+        {str(k): float(v) for k, v in data.get("reference", {}).items()},
     )
 
 

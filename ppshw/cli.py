@@ -223,6 +223,7 @@ def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
         "point": a.point,
         "predicted_error_mm": (setpoints.predicted_error * 1e3).tolist(),
         "std_mm": (setpoints.std * 1e3).tolist(),
+        "not_compensated": [effect.sentence for effect in compensator.calibration.effects],
     }
     lines = [f"{'joint':16}{'nominal':>14}{'setpoint':>14}{'correction':>14}"]
     for k, joint in enumerate(machine.joints):
@@ -231,6 +232,7 @@ def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; the model is sure to {std:.3f} mm (1 sigma)")
+    lines += [f"not compensated: {sentence}" for sentence in answer["not_compensated"]]
     return machine, answer, "\n".join(lines)
 
 
@@ -264,6 +266,34 @@ def report(a: argparse.Namespace) -> None:
     with Bar() as bar, bar.expect("report", REPORT_S):
         page = build_report(Path(a.dir))
     _say(a, {"report": str(page)}, str(page))
+
+
+def diagnose(a: argparse.Namespace) -> None:
+    """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
+    from ppshw.diagnosis import diagnose as run
+    from ppshw.diagnosis.modelled import extended
+    from ppshw.recording import load_recording
+
+    machine = _machine(a)
+    recording = load_recording(a.rec, machine)
+    for out in (a.json, a.out):
+        if out is not None:
+            _new_file(out, a.rec, a.machine)
+    with Bar() as bar:
+        found = run(machine, recording, progress=lambda k, n: bar("diagnose", k, n))
+    answer = found.answer
+    if a.out is not None:
+        extended(found.space, found.found).save(a.out)
+    with _written_whole(Path(a.json)) as partial:
+        partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    held = answer["held_out"]
+    lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
+    lines += [f"  {f['sentence']} [weight {f['weight']:.2f}, p {f['p_value']:.1g}]" for f in answer["findings"]]
+    if answer["unexplained"] is not None:
+        lines.append(f"  unexplained structure over {' and '.join(answer['unexplained']['covariates'])}")
+    lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
+                 f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
+    print("\n".join(lines))
 
 
 def prove(a: argparse.Namespace) -> None:
@@ -518,6 +548,14 @@ def _parser() -> argparse.ArgumentParser:
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR")
+
+    about = "locate, name and model what the model leaves unexplained in a recording"
+    p = commands.add_parser("diagnose", help=about, description=f"{about[0].upper()}{about[1:]}.")
+    p.set_defaults(function=diagnose)
+    p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
+    machine(p)
+    p.add_argument("--json", required=True, metavar="OUT.json", help="the answer")
+    p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
 
     p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
     p.add_argument("--out", required=True, metavar="DIR")

@@ -14,6 +14,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
+from ppshw.terms.effect import displacement
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -26,6 +27,11 @@ def residuals(recording: Recording, calibration: Calibration, refit_base: bool =
                 takes six numbers from the residuals, and an error of the whole machine hides in it.
     """
     predicted = calibration.model.predict(Situation.of(recording), calibration.theta)
+    if calibration.effects:
+        predicted = predicted + displacement(
+            calibration.effects, calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+            calibration.reference,
+        )  # fmt: skip
     frame = _fitted_frame(recording, predicted) if refit_base else calibration.measuring_in_base
     return np.asarray(to_base(recording.points, frame) - predicted)
 

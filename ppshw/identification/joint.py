@@ -34,8 +34,8 @@ Progress = Callable[[int, int], None]
 SMALLEST, LARGEST = 1e-10, 1e3
 # The first idea of the noise is this share of what the ideal machine misses: signal is believed step by step.
 FIRST_NOISE_SHARE = 0.2
-# A group whose prior moves the targets by less than this share of the noise (rms) is left out.
-NEGLIGIBLE = 0.01
+# A group whose prior would, summed over all visits, show through the noise by less than this (squared) is left out.
+NEGLIGIBLE = 0.3
 BLOCK = 512
 # Designs of a recording up to this many numbers (0.4 GB) are kept between passes; beyond, they are made again.
 KEPT = 5e7
@@ -137,7 +137,7 @@ def estimate(
     model, frame = _start(model, recording)
     groups = _Groups(model)
     state = _first_state(model, recording, groups, frame)
-    inverse = np.zeros((0, 0))
+    inverse, kept = np.zeros((0, 0)), state.active
     for turn in range(rounds):
         if progress:
             progress(turn, rounds)
@@ -146,8 +146,9 @@ def estimate(
         gram, moment = blocks.normal_equations(state.noise, state.weights)
         before = state.theta
         theta, inverse = _strengths(gram, moment, groups, state, 6 if settled else 4)
+        kept = state.active.copy()
         state.theta = np.zeros_like(before)
-        state.theta[state.active] = theta
+        state.theta[kept] = theta
         previous = state.noise
         update = NoiseUpdate(previous, recording.seen, settled)
         distance = np.zeros(len(recording))
@@ -174,12 +175,12 @@ def estimate(
             break
     if progress:
         progress(rounds, rounds)
-    return _answer(model, groups, state, inverse, used)
+    return _answer(model, groups, state, inverse, kept, used)
 
 
-def _answer(model: Model, groups: _Groups, state: _State, inverse: Array, used: Mask) -> Estimate:
+def _answer(model: Model, groups: _Groups, state: _State, inverse: Array, kept: Mask, used: Mask) -> Estimate:
+    """`inverse` is the covariance of the parameters `kept` in the last round; the rest keep their prior."""
     covariance = np.diag(groups.scale**2 * state.variances[groups.of])
-    kept = np.flatnonzero(state.active) if len(inverse) == state.active.sum() else np.arange(len(inverse))
     covariance[np.ix_(kept, kept)] = inverse
     weights = np.zeros(len(used))
     weights[used] = state.weights

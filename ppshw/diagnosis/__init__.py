@@ -1,0 +1,169 @@
+"""Locate, name, model: what the base model (17) leaves unexplained in a recording, in the contract's words (§4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_finding
+from ppshw.diagnosis.library import Candidate, library, nameless
+from ppshw.diagnosis.search import Found, search
+from ppshw.diagnosis.visibility import visibility
+from ppshw.diagnosis.wording import finding
+from ppshw.diagnosis.workspace import Workspace, folds, prepare
+from ppshw.errors import IdentificationFailed
+from ppshw.identification.joint import estimate
+from ppshw.identification.structure import joint_model
+from ppshw.machine import Machine
+from ppshw.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+LEAST_VISITS = 40
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """answer: the contract's JSON; space and found: for whoever models or draws what was found."""
+
+    answer: dict[str, Any]
+    space: Workspace
+    found: list[tuple[Found, Candidate]]
+
+
+def diagnose(
+    machine: Machine,
+    recording: Recording,
+    seed: int = 0,
+    without: frozenset[str] = frozenset(),
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """What is missing in a recording: which joint, which effect, how large, and how much better the fit becomes.
+
+    seed     of the random signs that the significance rests on
+    without  effects that are taken out of the library (their cases must then be called unexplained)
+    Raises IdentificationFailed when the recording is too short to tell.
+    """
+    recording = recording.subset(np.asarray(recording.seen.any(axis=1)))
+    if len(recording) < LEAST_VISITS:
+        raise IdentificationFailed(
+            f"{recording.source}: {len(recording)} visits with a target, expected at least {LEAST_VISITS} to diagnose"
+        )
+    tell = progress or (lambda done, total: None)
+    tell(0, 10)
+    everything = np.ones(len(recording), dtype=bool)
+    space = prepare(machine, recording, everything)
+    gross = gross_errors(space)
+    if gross.visits:
+        everything = np.ones(len(recording), dtype=bool)
+        everything[list(gross.visits)] = False
+        space = prepare(machine, recording, everything)
+    tell(2, 10)
+    tried, found = _look(space, without, seed, lambda k: tell(2 + k, 10))
+    if found:
+        # strengths and noise were learnt beside the effect; learn them again without it, and look once more
+        base = estimate(joint_model(machine, recording), _without(space).subset(space.fit))
+        space = prepare(machine, recording, everything, base)
+        tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
+    scatter = None if "unsettled" in without else scatter_finding(space, seed)
+    answer = _answer(space, tried, found, gross, scatter)
+    tell(10, 10)
+    return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])
+
+
+def _look(
+    space: Workspace, without: frozenset[str], seed: int, tell: Callable[[int], None]
+) -> tuple[Tried, list[Found]]:
+    repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
+    tried = Tried(space, library(space.context, without) + nameless(space.context), repeatability)
+    tell(2)
+    found = search(space, tried, np.random.default_rng(seed))
+    tell(4)
+    return tried, found
+
+
+def _without(space: Workspace) -> Recording:
+    """The recording as it would be without what was found."""
+    _, values = space.coefficients()
+    shift = (space.taken @ values).reshape(space.recording.points.shape)  # base axes
+    return replace(space.recording, points=space.recording.points - shift @ space.base.measuring_in_base[:3, :3])
+
+
+def _answer(
+    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: dict[str, Any] | None
+) -> dict[str, Any]:
+    named = [f for f in found if f.name[0] != "nameless"]
+    left = [f for f in found if f.name[0] == "nameless"]
+    findings = gross.findings(space)
+    findings += [finding(space, tried, f) for f in _merged(named)]
+    if scatter is not None:
+        findings.append(scatter)
+    before, after = _held_out(space)
+    unexplained = None if not left else _unexplained(space, tried, left[0])
+    return {
+        "visits": len(space.recording),
+        "noise_floor_mm": _noise_floor(space),
+        "verdict": "unexplained" if left else "missing_physics" if findings else "consistent",
+        "findings": findings,
+        "unexplained": unexplained,
+        "visibility": visibility(space, tried),
+        "held_out": {"rms_before_mm": before, "rms_after_mm": after},
+    }
+
+
+def _merged(found: list[Found]) -> list[Found]:
+    """One finding per name: further components of an effect already named belong to it."""
+    kept: list[Found] = []
+    for f in sorted(found, key=lambda f: -f.evidence):
+        if f.name not in [g.name for g in kept]:
+            kept.append(f)
+    return kept
+
+
+def _held_out(space: Workspace) -> tuple[float, float]:
+    """rms of readings [mm] of visits the fit never saw (blocks in time, in turn), without and with the findings."""
+    sizes = []
+    for columns, prior in ((space.taken[:, :, :0], space.taken_prior[:0]), (space.taken, space.taken_prior)):
+        out = np.full(space.data.shape, np.nan)
+        for held in folds(len(space.recording)):
+            part = space.with_fit(space.fit & ~held)
+            part.take_up(columns, prior)
+            out[held] = part.residual()[held]
+        out[~space.fit] = np.nan  # gross errors are no test of a model
+        square = np.nansum(out.reshape(-1, 3) ** 2, axis=1)
+        square = square[np.isfinite(out.reshape(-1, 3)).all(axis=1)]
+        sizes.append(float(np.sqrt(square.mean()) * 1e3))
+    return sizes[0], sizes[1]
+
+
+def _noise_floor(space: Workspace) -> float:
+    """rms of a reading by noise alone [mm]: pose repeatability and instrument, as identified."""
+    covariance = np.linalg.inv(np.swapaxes(space.root, 1, 2) @ space.root + 1e-6 * np.eye(space.rows))
+    seen = np.repeat(space.recording.seen, 3, axis=1) & space.fit[:, None]
+    variance = np.einsum("nii->ni", covariance)[seen]
+    return float(np.sqrt(3 * variance.mean()) * 1e3)
+
+
+def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
+    candidate = tried.candidates[f.best]
+    region = {}
+    for name in candidate.covariates:
+        values = _values(space, name)
+        region[name] = [float(np.nanmin(values)), float(np.nanmax(values))]
+    return {
+        "covariates": list(candidate.covariates),
+        "region": region,
+        "rms_mm": finding(space, tried, f)["rms_mm"],
+        "p_value": f.p,
+    }
+
+
+def _values(space: Workspace, name: str) -> Array:
+    from ppshw.terms.shapes import named_column
+
+    return named_column(space.context, name)

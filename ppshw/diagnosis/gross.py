@@ -1,0 +1,120 @@
+"""What is simply wrong, looked for before any physics: bad visits, swapped reflectors; and noise that is no bias."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from ppshw.diagnosis.evidence import corrected_residual
+from ppshw.diagnosis.workspace import Workspace
+
+Array = NDArray[np.float64]
+# A visit is wrong when noise would do this to one visit in a thousand recordings.
+GROSS = 1e-3
+SCATTER = 0.005
+PERMUTATIONS = 1999
+
+
+@dataclass(frozen=True)
+class GrossErrors:
+    """visits: indices of visits that are simply wrong; swapped: which reflectors were swapped where that explains it;
+    size: rms of their residuals [mm]; p: of the worst, family-wise."""
+
+    visits: tuple[int, ...] = ()
+    swapped: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    size: float = 0.0
+    p: float = 1.0
+
+    def findings(self, space: Workspace) -> list[dict[str, Any]]:
+        if not self.visits:
+            return []
+        listed = ", ".join(str(v + 1) for v in self.visits[:12]) + (" …" if len(self.visits) > 12 else "")
+        sentence = f"{len(self.visits)} visits are simply wrong and were set aside: {listed}."
+        for visit, names in itertools.islice(self.swapped.items(), 3):
+            sentence += f" In visit {visit + 1} {' and '.join(names)} are swapped."
+        return [
+            {
+                "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
+                "region": [v + 1 for v in self.visits],
+                "parameters": {"visits": {"value": len(self.visits), "std": 0, "unit": "1"}},
+                "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "sentence": sentence,
+            }
+        ]  # fmt: skip
+
+
+def gross_errors(space: Workspace) -> GrossErrors:
+    """Visits whose residual noise cannot make, by χ² with Bonferroni's correction on a robust scale."""
+    weights = np.maximum(space.base.weights, 1e-3)
+    residual = corrected_residual(space) / np.sqrt(weights[space.fit])[:, None]
+    freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
+    distance = (residual**2).sum(axis=1)
+    scale = float(np.median(distance / chi2.median(freedom)))  # 1 when the noise is what the estimate says
+    tail = chi2.sf(distance / max(scale, 1e-12), freedom)
+    # heavier tails than normal are common: only what is far beyond them is wrong
+    far = (tail < GROSS / len(distance)) & (distance > 4.0 * scale * freedom)
+    if not far.any() or far.mean() > 0.1:
+        return GrossErrors()
+    visits = np.flatnonzero(space.fit)[far]
+    left = space.residual()[visits].reshape(-1, 3)
+    swapped = {int(v): names for v in visits if (names := _swap(space, int(v)))}
+    return GrossErrors(
+        tuple(int(v) for v in visits),
+        swapped,
+        float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))) * 1e3),
+        float(min(1.0, tail.min() * len(distance))),
+    )
+
+
+def _swap(space: Workspace, visit: int) -> tuple[str, ...]:
+    """The two reflectors whose exchange brings a visit back, or nothing."""
+    predicted = space.context.points[visit]
+    measured = predicted + space.residual()[visit].reshape(-1, 3)
+    before = float(np.nansum((measured - predicted) ** 2))
+    names = space.recording.target_names
+    for a, b in itertools.combinations(range(len(names)), 2):
+        order = list(range(len(names)))
+        order[a], order[b] = b, a
+        if float(np.nansum((measured[order] - predicted) ** 2)) < 1e-4 * before:
+            return names[a], names[b]
+    return ()
+
+
+def scatter_finding(space: Workspace, seed: int) -> dict[str, Any] | None:
+    """Does the scatter depend on settling time, load or the length of the move? By random exchange of whole visits."""
+    residual = corrected_residual(space)
+    r = space.recording
+    size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
+    size = size - size.mean()
+    columns: dict[str, Array] = {}
+    if np.isfinite(r.settle_s).all() and np.ptp(r.settle_s) > 0:
+        for tau in (1.0, 3.0, 8.0):
+            columns[f"settle_s exp(-t/{tau:g} s)"] = np.exp(-r.settle_s / tau)
+        columns["settle_s"] = r.settle_s
+    if r.has_wrench and np.ptp(r.wrench, axis=0).max() > 0:
+        columns["load"] = np.linalg.norm(r.wrench[:, :3], axis=1)
+    span = np.maximum(np.ptp(r.q, axis=0), 1e-9)
+    columns["move length"] = np.concatenate([[0.0], np.abs(np.diff(r.q, axis=0) / span).max(axis=1)])
+    matrix = np.stack([v[space.fit] for v in columns.values()], axis=1)
+    matrix = matrix - matrix.mean(axis=0)
+    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
+    strength = matrix.T @ size
+    rng = np.random.default_rng(seed)
+    null = np.array([np.abs(matrix.T @ rng.permutation(size)).max() for _ in range(PERMUTATIONS)])
+    k = int(np.argmax(np.abs(strength)))
+    p = (1 + int((null >= abs(strength[k])).sum())) / (PERMUTATIONS + 1)
+    if p > SCATTER:
+        return None
+    name = list(columns)[k].split(" exp")[0]
+    more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
+    return {
+        "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
+        "region": None,
+        "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
+        "p_value": p, "rms_mm": None, "weight": 1.0, "alternatives": [],
+        "sentence": f"the scatter depends on {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
+    }  # fmt: skip

@@ -1,0 +1,343 @@
+"""Every effect that is tried, as candidates: per effect of the contract's table the joints, components and shapes.
+
+Shares are prior weights among the candidates of one effect; a joint's own freedom is likelier than the rest for what
+sits in a drive. Grids of nonlinear parameters are part of the candidates: the evidence averages over them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
+CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """effect: the contract's name, or "nameless"; joint, frame, component, covariate: where it sits;
+    columns: what it adds; shape: its nonlinear parameters; share: prior weight; group: joined when named."""
+
+    effect: str
+    joint: str | None
+    frame: str | None
+    component: str | None
+    covariate: str
+    columns: tuple[Column, ...]
+    shape: dict[str, float] = field(default_factory=dict)
+    share: float = 1.0
+    covariates: tuple[str, ...] = ()
+
+
+def library(c: Context, without: frozenset[str] = frozenset()) -> list[Candidate]:
+    """All candidates for a recording; shares of an effect add up to one. `without` leaves effects out."""
+    makers = (
+        _backlash, _friction, _thermal, _drift, _tracker_scale, _periodic, _nonlinear, _clearance, _coupling,
+        _moving_weight, _wrench, _creep, _zero_shift, _missing_compliance, _target,
+    )  # fmt: skip
+    found = [k for make in makers for k in make(c) if k.effect not in without]
+    total: dict[str, float] = {}
+    for k in found:
+        total[k.effect] = total.get(k.effect, 0.0) + k.share
+    return [replace(k, share=k.share / total[k.effect]) for k in found]
+
+
+def _own(c: Context, k: int) -> int:
+    axis = np.abs(c.machine.joints[k].axis)
+    return int(np.argmax(axis)) + (0 if c.machine.joints[k].prismatic else 3)
+
+
+def _joints(c: Context) -> Iterator[tuple[int, str]]:
+    for k, name in enumerate(c.machine.joint_names):
+        if np.ptp(c.recording.q[:, k]) > 0:
+            yield k, name
+
+
+def _shares(c: Context, k: int) -> list[tuple[int, float]]:
+    own = _own(c, k)
+    return [(comp, OWN if comp == own else (1 - OWN) / 5) for comp in range(6)]
+
+
+def _backlash(c: Context) -> Iterator[Candidate]:
+    if not c.recording.has_approach:
+        return
+    for k, name in _joints(c):
+        if len(np.unique(c.recording.approach[:, k])) < 2:
+            continue
+        for comp, share in _shares(c, k):
+            sign = Column("frame", "approach", {"joint": k}, k + 1, comp)
+            yield Candidate("backlash", name, name, COMPONENTS[comp], f"approach_{name}", (sign,), share=share)
+            drag = Column("frame", "approach_q", {"joint": k}, k + 1, comp)
+            yield Candidate(
+                "backlash", name, name, COMPONENTS[comp], f"approach_{name}", (sign, drag), share=0.15 * share
+            )
+
+
+def _friction(c: Context) -> Iterator[Candidate]:
+    for k, name in _joints(c):
+        span = float(np.ptp(c.recording.q[:, k]))
+        for width in span * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3]):
+            for comp, share in _shares(c, k):
+                if share < 0.5:
+                    continue
+                column = Column("frame", "slipping", {"joint": k, "width": float(width)}, k + 1, comp)
+                yield Candidate(
+                    "friction_hysteresis", name, name, COMPONENTS[comp], f"move_{name}", (column,),
+                    {"width": float(width)}, share,
+                )  # fmt: skip
+
+
+def _thermal(c: Context) -> Iterator[Candidate]:
+    for place in c.recording.temperatures:
+        if not np.isfinite(c.recording.temperatures[place]).all() or np.ptp(c.recording.temperatures[place]) < 1e-3:
+            continue
+        for tau in LAGS_H:
+            args = {"place": place, "tau": tau}
+            for k, name in _joints(c):
+                own = _own(c, k)
+                for comp in range(6):
+                    flat = Column("frame", "temperature", args, k + 1, comp)
+                    grows = Column("frame", "temperature_q", {**args, "joint": k}, k + 1, comp)
+                    where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
+                    yield Candidate(*where, (flat,), {"lag_h": tau}, 0.5)
+                    yield Candidate(*where, (flat, grows), {"lag_h": tau}, 1.0 if comp == own else 0.2)
+
+
+def _drift(c: Context) -> Iterator[Candidate]:
+    forms: list[tuple[str, float]] = [("linear", 1.0)]
+    forms += [("exponential", t) for t in (0.3, 0.7, 1.5, 3.0)] + [("log", t) for t in (0.1, 0.5)]
+    for form, tau in forms:
+        all6 = tuple(Column("frame", "clock", {"form": form, "tau": tau}, 0, comp) for comp in range(6))
+        yield Candidate("drift", None, "base", None, "time", all6[:3], {"tau_h": tau}, 1.0)
+        yield Candidate("drift", None, "base", None, "time", all6, {"tau_h": tau}, 1.0)
+        for comp in range(6):
+            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", (all6[comp],), {"tau_h": tau}, 0.5)
+    for order in (2, 3, 4):
+        waves = [
+            tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
+            for comp in range(6)
+        ]
+        for comp in range(6):
+            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", waves[comp], {}, 0.3)
+        yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
+
+
+def _tracker_scale(c: Context) -> Iterator[Candidate]:
+    constant = Column("points", "scale", {})
+    yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
+    for place in c.recording.temperatures:
+        if np.ptp(c.recording.temperatures[place]) < 1e-3 or not np.isfinite(c.recording.temperatures[place]).all():
+            continue
+        grows = Column("points", "scale", {"place": place})
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5)
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5)
+
+
+def _periodic(c: Context) -> Iterator[Candidate]:
+    for k, name in _joints(c):
+        joint = c.machine.joints[k]
+        span = float(np.ptp(c.recording.q[:, k]))
+        shortest = 0.004 if joint.prismatic else 2 * np.pi / 120
+        most = int(min(2 * span / shortest, 700))
+        periods = 2 * span / np.arange(6, max(most, 7) + 1)
+        own = _own(c, k)
+        for period in periods:
+            args = {"joint": k, "period": float(period)}
+            pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, own) for p in ("sin", "cos"))
+            yield Candidate(
+                "periodic_transmission", name, name, COMPONENTS[own], f"q_{name}", pair, {"period": float(period)},
+                share=1.0 / len(periods),
+            )  # fmt: skip
+
+
+def _loads_on(c: Context, frame: int) -> list[int]:
+    """Wrench components that really vary on a frame: a constant load says nothing."""
+    w = c.wrenches[:, frame]
+    size = np.abs(w).max(axis=0)
+    reference = np.array([size[:3].max()] * 3 + [size[3:].max()] * 3)
+    return [k for k in range(6) if np.ptp(w[:, k]) > 0.05 * max(reference[k], 1e-9)]
+
+
+def _elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
+    for k, joint in enumerate(c.machine.joints):
+        if joint.elastic is not None:
+            yield k + 1, joint.name, [b for b in joint.elastic.load_indices if b in _loads_on(c, k + 1)]
+
+
+def _nonlinear(c: Context) -> Iterator[Candidate]:
+    for frame, name, acting in _elastic_frames(c):
+        for b in acting:
+            for exponent in (0.67, 1.5, 2.0, 3.0):
+                args = {"frame": frame, "component": b, "exponent": exponent}
+                for comp in range(6):
+                    yield Candidate(
+                        "nonlinear_stiffness", name, name, COMPONENTS[comp], LOADS[b],
+                        (Column("frame", "load_power", args, frame, comp),), {"exponent": exponent},
+                        1.0 if comp == b else 0.2,
+                    )  # fmt: skip
+
+
+def _clearance(c: Context) -> Iterator[Candidate]:
+    for frame in range(1, c.machine.n + 1):
+        name = c.machine.joint_names[frame - 1]
+        for b in _loads_on(c, frame):
+            w = c.wrenches[:, frame, b]
+            if min((w > 0).mean(), (w < 0).mean()) < 0.03:
+                continue
+            for width in (0.02, 0.1, 0.3, 0.7):
+                args = {"frame": frame, "component": b, "width": width}
+                for comp in range(6):
+                    yield Candidate(
+                        "clearance", name, name, COMPONENTS[comp], LOADS[b],
+                        (Column("frame", "load_side", args, frame, comp),), {"width": width}, 1.0 if comp == b else 0.1,
+                    )  # fmt: skip
+
+
+def _coupling(c: Context) -> Iterator[Candidate]:
+    for a, name in _joints(c):
+        for b, other in _joints(c):
+            if a == b:
+                continue
+            for comp in range(6):
+                for powers, share in (
+                    (((1, 1),), 1.0), (((0, 1), (1, 1)), 0.5), (((0, 1), (0, 2)), 0.5),
+                    (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
+                ):  # fmt: skip
+                    columns = tuple(
+                        Column("frame", "pair", {"a": a, "power_a": i, "b": b, "power_b": j}, a + 1, comp)
+                        for i, j in powers
+                    )
+                    yield Candidate(
+                        "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", columns, {}, share,
+                        (f"q_{name}", f"q_{other}"),
+                    )  # fmt: skip
+
+
+def _moving_weight(c: Context) -> Iterator[Candidate]:
+    for k, name in _joints(c):
+        mass = Column("frames", "body_weight", {"joint": k, "what": "mass"})
+        shifts = tuple(Column("frames", "body_weight", {"joint": k, "what": axis}) for axis in "xyz")
+        yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass,))
+        yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass, *shifts), share=0.5)
+
+
+def _wrench(c: Context) -> Iterator[Candidate]:
+    if not c.recording.has_wrench:
+        return
+    for comp in range(6):
+        where = ("wrench_error", None, None, None, LOADS[comp])
+        yield Candidate(*where, (Column("frames", "sensor_error", {"component": comp}),))
+        drifting = Column("frames", "sensor_error", {"component": comp, "time": "linear"})
+        yield Candidate(*where, (drifting,))
+        for source in range(6):
+            args = {"component": comp, "source": source}
+            yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)
+
+
+def _creep(c: Context) -> Iterator[Candidate]:
+    if len(set(c.recording.load)) < 2:
+        return
+    places = [(-1, None), *((frame, name) for frame, name, _ in _elastic_frames(c))]
+    for frame, name in places:
+        share = 1.0 if frame >= 0 else 2.0
+        for tau in CREEP_H:
+            for function in ("creep", "log_creep"):
+                column = Column("frames", function, {"tau": tau, "frame": frame})
+                yield Candidate("creep", name, name, None, "since_load_change", (column,), {"tau_h": tau}, share)
+
+
+def _zero_shift(c: Context) -> Iterator[Candidate]:
+    count = len(c.hours)
+    moments = 0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 150)]
+    for k, name in _joints(c):
+        for moment in moments:
+            column = Column("frame", "step", {"visit_time": float(moment)}, k + 1, _own(c, k))
+            yield Candidate(
+                "zero_shift", name, name, COMPONENTS[_own(c, k)], "time", (column,), {"time_h": float(moment)}
+            )
+
+
+def _missing_compliance(c: Context) -> Iterator[Candidate]:
+    for frame in range(c.machine.n + 1):
+        joint = c.machine.joints[frame - 1] if frame else None
+        name = None if joint is None else joint.name
+        known = set(joint.elastic.load_indices) if joint is not None and joint.elastic is not None else set()
+        for b in _loads_on(c, frame):
+            for comp in range(6):
+                where = ("missing_compliance", name, name or "base", COMPONENTS[comp], LOADS[b])
+                share = 1.0 if comp == b else 0.2
+                if b not in known:
+                    args = {"frame": frame, "component": b}
+                    yield Candidate(*where, (Column("frame", "load", args, frame, comp),), {}, share)
+                if joint is not None and not (joint.elastic is not None and joint.elastic.varies):
+                    args = {"frame": frame, "component": b, "joint": frame - 1}
+                    grows = Column("frame", "load_q", args, frame, comp)
+                    yield Candidate(*where, (grows,), {}, 0.3 * share)
+        acting = [b for b in _loads_on(c, frame) if b not in known]
+        if len(acting) > 1:
+            diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
+            yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)
+
+
+def _target(c: Context) -> Iterator[Candidate]:
+    if c.points.shape[1] < 2:
+        return
+    count = len(c.hours)
+    moments = [-1.0, *(0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 40)])]
+    for t, name in enumerate(c.recording.target_names):
+        for moment in moments:
+            columns = tuple(
+                Column("points", "target_shift", {"target": t, "axis": a, "since": float(moment)}) for a in range(3)
+            )
+            shape = {"time_h": float(moment)} if moment >= 0 else {}
+            yield Candidate(
+                "target_moved", None, None, None, name, columns, shape, 1.0 if moment < 0 else 1.0 / len(moments)
+            )
+
+
+def nameless(c: Context) -> list[Candidate]:
+    """Rivals without a name: the tip or the base moves as a smooth function of one column or of two."""
+    joints = [f"q_{name}" for _, name in _joints(c)]
+    r = c.recording
+    singles = [*joints, "time", "since_load_change"]
+    singles += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
+    singles += [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
+    singles += [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all()]
+    if np.isfinite(r.settle_s).all():
+        singles.append("settle_s")
+    if r.has_wrench:
+        singles += [w for k, w in enumerate(LOADS) if np.ptp(r.wrench[:, k]) > 0]
+    places = [(0, comp) for comp in range(6)] + [(c.machine.n, comp) for comp in range(6)]
+    out = []
+    for name in singles:
+        for frame, comp in places:
+            columns = tuple(
+                Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
+            )
+            out.append(_nameless(c, frame, comp, (name,), columns))
+    pairs = [(a, b) for i, a in enumerate(joints) for b in joints[i + 1 :]]
+    others = ["time", *(s for s in singles if s.startswith(("temp_", "F", "M")))]
+    pairs += [(a, b) for a in joints for b in others]
+    for first, second in pairs:
+        for frame, comp in places[6:]:
+            names = {"first": first, "second": second, "count": 3}
+            columns = tuple(
+                Column("frame", "covariate_pair", {**names, "a": a, "b": b}, frame, comp)
+                for a in range(3)
+                for b in range(3)
+            )
+            out.append(_nameless(c, frame, comp, (first, second), columns))
+    return [replace(k, share=1.0 / len(out)) for k in out]
+
+
+def _nameless(c: Context, frame: int, comp: int, names: tuple[str, ...], columns: tuple[Column, ...]) -> Candidate:
+    return Candidate(
+        "nameless", None, c.machine.frame_names[frame], COMPONENTS[comp], " × ".join(names), columns, covariates=names
+    )

@@ -1,0 +1,32 @@
+"""What was found joins the calibration: the base model's parameters refitted beside the effects, and the effects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.calibration import Calibration
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.search import Found
+from ppshw.diagnosis.wording import coefficients, sentence
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.effect import Effect
+
+
+def extended(space: Workspace, found: list[tuple[Found, Candidate]]) -> Calibration:
+    """The calibration with every named finding modelled; structure without a name may not be relied on: left out."""
+    named = [candidate for _, candidate in found if candidate.effect != "nameless"]
+    base, _ = space.coefficients()
+    theta = np.zeros(len(space.active))
+    theta[space.active] = base
+    effects = []
+    for candidate in named:
+        values, std, rms = coefficients(space, candidate)
+        words = sentence(candidate, values, rms)
+        numbers = tuple(values.tolist()), tuple(std.tolist())
+        effects.append(Effect(candidate.effect, candidate.joint, candidate.columns, *numbers, words))
+    recording = space.recording.subset(space.fit)
+    calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")
+    return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference))
+

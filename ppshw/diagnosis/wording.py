@@ -1,0 +1,177 @@
+"""A finding in the contract's words: parameters with units, where it sits, how large it is, and a plain sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.search import Found, columns_of
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import named_column
+
+Array = NDArray[np.float64]
+LEAST_WEIGHT = 0.01
+
+
+def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
+    """One finding of the contract's §4; `space` has all findings taken up."""
+    candidate = tried.candidates[found.best]
+    values, std, rms = coefficients(space, candidate)
+    parameters = _parameters(candidate, values, std)
+    weights = found.weights or {found.name: 1.0}
+    alternatives = [
+        {"effect": effect, "joint": joint, "weight": round(weight, 4)}
+        for (effect, joint), weight in weights.items()
+        if (effect, joint) != found.name and weight >= LEAST_WEIGHT
+    ]
+    return {
+        "effect": candidate.effect,
+        "joint": candidate.joint,
+        "frame": candidate.frame,
+        "component": candidate.component,
+        "covariate": candidate.covariate,
+        "region": _region(space, candidate.covariate),
+        "parameters": parameters,
+        "p_value": found.p,
+        "rms_mm": rms * 1e3,
+        "weight": round(weights.get(found.name, 0.0), 4),
+        "alternatives": alternatives,
+        "sentence": sentence(candidate, values, rms),
+    }
+
+
+def coefficients(space: Workspace, candidate: Candidate) -> tuple[Array, Array, float]:
+    """Coefficients of the candidate as taken up, their standard deviations, and its rms at the reflectors [m]."""
+    columns = columns_of(space, candidate)
+    _, all_values = space.coefficients()
+    at = _where(space.taken, columns)
+    k = columns.shape[2]
+    values = all_values[at : at + k]
+    std = np.sqrt(np.maximum(np.diag(space.middle)[at : at + k], 0.0))
+    readings = max(int(space.recording.seen.sum()), 1)
+    rms = float(np.sqrt(((columns @ values) ** 2).sum() / readings))
+    return values, std, rms
+
+
+def _where(taken: Array, columns: Array) -> int:
+    for at in range(taken.shape[2] - columns.shape[2] + 1):
+        if np.array_equal(taken[:, :, at : at + columns.shape[2]], columns):
+            return at
+    raise AssertionError("a finding's columns are not in the workspace")
+
+
+def _unit(candidate: Candidate) -> str:
+    component = candidate.component or ""
+    return "m" if component.startswith("t") else "rad" if component.startswith("r") else "1"
+
+
+def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, dict[str, Any]]:
+    unit = _unit(candidate)
+    names = [f"c{k + 1}" for k in range(len(values))]
+    factors = np.ones(len(values))
+    units = [unit] * len(values)
+    if candidate.effect == "backlash":
+        names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
+        if len(names) > 1:
+            names[1] = "drag"
+    elif candidate.effect == "periodic_transmission":
+        amplitude = float(np.hypot(values[0], values[1]))
+        spread = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
+        return {
+            "amplitude": {"value": amplitude, "std": spread, "unit": unit},
+            "phase": {"value": float(np.arctan2(values[1], values[0])), "std": spread / max(amplitude, 1e-30),
+                      "unit": "rad"},
+            "period": {"value": candidate.shape["period"], "std": None, "unit": _joint_unit(unit)},
+        }  # fmt: skip
+    elif candidate.effect == "tracker_scale":
+        names, units = _by_function(candidate, {"scale": ("scale", "1")})
+    elif candidate.effect == "thermal_growth":
+        names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
+        units = [f"{unit}/K"] * len(values)
+    elif candidate.effect == "friction_hysteresis":
+        names = ["lag"]
+    elif candidate.effect == "zero_shift":
+        names = ["step"]
+    elif candidate.effect == "target_moved":
+        names, units = ["dx", "dy", "dz"], ["m"] * 3
+    elif candidate.effect == "moving_weight":
+        names, units = ["mass", "mx", "my", "mz"][: len(names)], ["kg", "kg m", "kg m", "kg m"][: len(names)]
+    elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
+        load = "N" if candidate.covariate.startswith("F") else "N m"
+        names, units = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))], [
+            f"{unit}/({load})"
+        ] * len(values)
+    elif candidate.effect == "clearance":
+        names = ["half_gap"]
+    elif candidate.effect == "creep":
+        names, units = ["share"], ["1"]
+    out: dict[str, dict[str, Any]] = {
+        name: {"value": float(v * f), "std": float(s * f), "unit": u}
+        for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
+    }
+    for name, value in candidate.shape.items():
+        out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit)}
+    return out
+
+
+def _by_function(candidate: Candidate, known: dict[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
+    names, units = [], []
+    for column in candidate.columns:
+        name, unit = known[column.function]
+        place = column.args.get("place")
+        names.append(f"{name}_per_K" if place else name)
+        units.append("1/K" if place else unit)
+    return names, units
+
+
+def _joint_unit(unit: str) -> str:
+    return unit
+
+
+def _shape_unit(name: str, unit: str) -> str:
+    return "h" if name.endswith("_h") else unit if name == "width" else "1"
+
+
+def _region(space: Workspace, covariate: str) -> list[float] | None:
+    try:
+        values = named_column(space.context, covariate)
+    except (KeyError, ValueError):
+        return None
+    if not np.isfinite(values).any():
+        return None
+    return [float(np.nanmin(values)), float(np.nanmax(values))]
+
+
+def sentence(candidate: Candidate, values: Array, rms: float) -> str:
+    joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
+    rotary = (candidate.component or "t").startswith("r")
+    amount = f"{2 * abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'}"
+    texts = {
+        "backlash": f"{joint} lags behind by {amount} whenever it turns back: lost motion in its drive ({size}).",
+        "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
+        f"{amount}: friction before sliding ({size}).",
+        "thermal_growth": f"{joint} moves with {candidate.covariate}: its link grows or bends with heat ({size}).",
+        "drift": f"everything moves slowly with time, as if the base or the tracker did ({size}).",
+        "tracker_scale": f"all distances from the tracker are wrong by a factor ({size}).",
+        "periodic_transmission": f"{joint} is off by a wave of period {candidate.shape.get('period', 0):.5g} along its "
+        f"own travel: a screw, a gear or an encoder ({size}).",
+        "nonlinear_stiffness": f"{joint} does not give way in proportion to {candidate.covariate} ({size}).",
+        "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
+        "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
+        "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
+        "wrench_error": f"the force sensor's {candidate.covariate} is off in gain, cross-talk or zero ({size}).",
+        "creep": f"deflection goes on after a load change{'' if joint is None else f' at {joint}'} ({size}).",
+        "zero_shift": f"{joint}'s zero jumped by {abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'} after "
+        f"{candidate.shape.get('time_h', 0):.2f} h ({size}).",
+        "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
+        f"({size}).",
+        "target_moved": f"reflector {candidate.covariate} is not where the machine file says"
+        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
+        + f", by {np.linalg.norm(values) * 1e3:.3f} mm.",
+        "nameless": f"something depends on {candidate.covariate} that no known effect explains ({size}).",
+    }
+    return texts[candidate.effect]

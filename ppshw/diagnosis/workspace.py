@@ -1,0 +1,142 @@
+"""A recording seen through the base model: what is left, whitened, and what the base model would absorb of anything.
+
+With V = R + X Λ Xᵀ (noise and everything the base model may still mean), a candidate with columns Z has
+
+    score  S = Zᵀ V⁻¹ y,    information  I = Zᵀ V⁻¹ Z,    V⁻¹ = R⁻¹ − R⁻¹X (XᵀR⁻¹X + Λ⁻¹)⁻¹ XᵀR⁻¹
+
+so that no candidate is credited with what the base model can explain. docs/diagnosis.md §2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ppshw.identification.joint import Estimate, estimate
+from ppshw.identification.start import to_base
+from ppshw.identification.structure import joint_model
+from ppshw.machine import Machine
+from ppshw.recording import Recording
+from ppshw.terms import Situation
+from ppshw.terms.shapes import Context
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass
+class Workspace:
+    """N visits of which some are for the fit; rows are the 3T coordinates of a visit.
+
+    fit        (N,)               which visits the fit may use; F of them
+    context    what the shapes of effects look at
+    design     (N, 3T, p)         of the base model
+    data       (N, 3T)            measured − predicted + design θ
+    root       (N, 3T, 3T)        L⁻¹ of the noise covariance, so that root·(noise) is white; 0 for lost targets
+    prior      (p,)               prior standard deviations of the base model's parameters
+    active     which of all the base model's parameters the p columns are
+    taken      (N, 3T, k), taken_prior (k,): columns of findings that were taken up
+    """
+
+    machine: Machine
+    recording: Recording
+    fit: Mask
+    base: Estimate
+    context: Context
+    design: Array
+    data: Array
+    root: Array
+    prior: Array
+    active: Mask
+    taken: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    taken_prior: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        self.white = self.whiten(self.design)
+        precision = self.white.T @ self.white
+        precision[np.diag_indices_from(precision)] += 1.0 / self.prior**2
+        self.factor = cho_factor(precision, lower=True)
+        self.y = self.whiten(self.data[..., None])[:, 0]
+        self.forget()
+
+    def with_fit(self, fit: Mask) -> Workspace:
+        """The same with other visits for the fit, and nothing taken up."""
+        return replace(self, fit=fit)
+
+    @property
+    def rows(self) -> int:
+        return int(self.data.shape[1])
+
+    def whiten(self, columns: Array) -> Array:
+        """(N, 3T, k) → (F·3T, k): of the fit visits, whitened."""
+        white = self.root[self.fit] @ columns[self.fit]
+        return white.reshape(white.shape[0] * white.shape[1], columns.shape[2])
+
+    def absorb(self, white: Array) -> Array:
+        """P Z: whitened columns (F·3T, k) less what the base model takes of them."""
+        return np.asarray(white - self.white @ cho_solve(self.factor, self.white.T @ white))
+
+    def forget(self) -> None:
+        """Nothing taken up."""
+        self.take_up(np.zeros((*self.data.shape, 0)), np.zeros(0))
+
+    def take_up(self, columns: Array, prior: Array) -> None:
+        """Let the model have exactly these further columns (N, 3T, k) with prior standard deviations (k,).
+
+        What they absorb beyond the base model is a projection of rank k: P' = P − P F M Fᵀ P, M = (Λ⁻¹ + Fᵀ P F)⁻¹.
+        """
+        self.taken, self.taken_prior = columns, prior
+        self.taken_white = self.whiten(columns)
+        self.absorbed = self.absorb(self.taken_white)
+        self.middle = np.linalg.inv(self.taken_white.T @ self.absorbed + np.diag(1.0 / prior**2))
+
+    def left(self) -> Array:
+        """(F·3T,) P' y: whitened residual of the fit visits."""
+        base = self.absorb(self.y[:, None])[:, 0]
+        return np.asarray(base - self.absorbed @ (self.middle @ (self.absorbed.T @ self.y)))
+
+    def coefficients(self) -> tuple[Array, Array]:
+        """θ of the base model (p,) and of what was taken up (k,), from the fit visits."""
+        extra = self.middle @ (self.absorbed.T @ self.y)
+        base = cho_solve(self.factor, self.white.T @ (self.y - self.taken_white @ extra))
+        return np.asarray(base), np.asarray(extra)
+
+    def residual(self) -> Array:
+        """(N, 3T) what the fitted model leaves of every visit, held-out ones included [m]; nan where lost."""
+        base, extra = self.coefficients()
+        left = self.data - self.design @ base - self.taken @ extra
+        return np.where(np.repeat(self.recording.seen, 3, axis=1), left, np.nan)
+
+
+def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
+    """Held-out visits of each fold: blocks of `length` visits in time, dealt in turn (shorter in short recordings)."""
+    length = max(1, min(length, count // (3 * number)))
+    which = (np.arange(count) // length) % number
+    return [which == k for k in range(number)]
+
+
+def prepare(machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None) -> Workspace:
+    """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before."""
+    base = base or estimate(joint_model(machine, recording), recording.subset(fit))
+    model, situation = base.model, Situation.of(recording)
+    count = len(recording)
+    lin = model.linearise(situation, base.theta)
+    seen = recording.seen
+    rows = np.repeat(seen, 3, axis=1)
+    strengths = np.array([base.groups[p.group] * p.scale for p in model.parameters()])
+    size = np.sqrt(np.mean(lin.design.reshape(-1, lin.design.shape[3]) ** 2, axis=0)) * strengths
+    active = size > 1e-8  # a column whose prior moves the targets by less than 10 nm is no column
+    design = lin.design.reshape(count, rows.shape[1], -1)[:, :, active] * rows[..., None]
+    gap = np.where(seen[..., None], to_base(recording.points, base.measuring_in_base) - lin.positions, 0.0)
+    data = gap.reshape(count, -1) + design @ base.theta[active]
+    root = np.linalg.inv(np.linalg.cholesky(base.noise.covariance(lin.levers, seen, np.ones(count))))
+    root = root * (rows[:, :, None] & rows[:, None, :])
+    weights = np.ones(count)
+    weights[fit] = np.maximum(base.weights, 1e-3)
+    root = root * np.sqrt(weights)[:, None, None]
+    context = Context.of(model, base.theta, recording, base.measuring_in_base)
+    context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
+    return Workspace(machine, recording, fit, base, context, design, data, root, strengths[active], active)

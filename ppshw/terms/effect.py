@@ -1,0 +1,56 @@
+"""An effect beyond model (17) that a diagnosis found: columns and coefficients, as a calibration carries them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.model import Model
+from ppshw.recording import Recording
+from ppshw.terms.shapes import Column, Context
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """name: the contract's; joint: where, None for none; columns with values and standard deviations (k,);
+    sentence: what it is in plain words."""
+
+    name: str
+    joint: str | None
+    columns: tuple[Column, ...]
+    values: tuple[float, ...]
+    std: tuple[float, ...]
+    sentence: str
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.name, "joint": self.joint, "sentence": self.sentence,
+            "columns": [c.as_dict() for c in self.columns], "values": list(self.values), "std": list(self.std),
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Effect:
+        columns = tuple(Column.from_dict(c) for c in data["columns"])
+        values, std = (tuple(float(x) for x in data[key]) for key in ("values", "std"))
+        if not len(columns) == len(values) == len(std):
+            raise ValueError(f"{len(values)} values for {len(columns)} columns of {data['effect']}")
+        return cls(data["effect"], data["joint"], columns, values, std, data["sentence"])
+
+
+def displacement(
+    effects: Sequence[Effect], model: Model, theta: Array, recording: Recording, measuring_in_base: Array,
+    reference: dict[str, float],
+) -> Array:  # fmt: skip
+    """What the effects add to the targets' positions: (N, T, 3) in the base frame [m]."""
+    context = Context.of(model, theta, recording, measuring_in_base, dict(reference))
+    out = np.zeros(context.points.shape)
+    for effect in effects:
+        for column, value in zip(effect.columns, effect.values, strict=True):
+            out += value * column.evaluate(context).reshape(out.shape)
+    return out

@@ -1,0 +1,349 @@
+"""The functions of covariates and history that effects are made of, by name, so that a calibration can carry them.
+
+A column says where it acts and how: on one component of one frame times a function (N,) of the visits; on all frames at
+once (N, n+1, 6); or on the measured points themselves (N, T, 3). docs/diagnosis.md §3 lists the functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.kinematics import frames, point_jacobian
+from ppshw.machine import Machine
+from ppshw.model import Model
+from ppshw.recording import Recording
+from ppshw.terms import Situation
+from ppshw.terms.elastic import Compliance
+from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, slip
+
+Array = NDArray[np.float64]
+FunctionOfVisits = Callable[..., Array]
+
+
+@dataclass(frozen=True)
+class Context:
+    """Everything a shape may look at, for N visits.
+
+    jacobian (N, 3T, n+1, 6), wrenches (N, n+1, 6), points (N, T, 3) in the base, tips (N, 4, 4): from the base model
+    chain (N, n+1, 4, 4) frames in the base; compliance (N, n+1, 6, 6) of every frame as calibrated, zero where rigid
+    measuring_in_base (4, 4) where the instrument stands; hours (N,) since the start; reference: see `of`
+    """
+
+    machine: Machine
+    recording: Recording
+    jacobian: Array
+    wrenches: Array
+    points: Array
+    tips: Array
+    chain: Array
+    compliance: Array
+    measuring_in_base: Array
+    hours: Array
+    reference: dict[str, float]
+
+    @classmethod
+    def of(
+        cls, model: Model, theta: Array, recording: Recording, measuring_in_base: Array,
+        reference: dict[str, float] | None = None,
+    ) -> Context:  # fmt: skip
+        """For the visits of a recording, about a model's parameters.
+
+        reference  what a calibration froze of the recording that it was made from (means, ranges, the start of time);
+                   None: this recording is that one
+        """
+        situation = Situation.of(recording)
+        errors, wrenches = model.errors(situation, theta)
+        chain = frames(model.machine, situation.q, errors)
+        tips = chain[:, -1] @ model.machine.tip_in_link
+        targets = model.targets(theta)
+        points = np.einsum("nij,pj->npi", tips[:, :3, :3], targets) + tips[:, None, :3, 3]
+        jacobian = point_jacobian(chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
+        reference = {} if reference is None else reference
+        start = reference.setdefault("start", float(recording.time[0]))
+        return cls(
+            model.machine, recording, jacobian, wrenches, points, tips, chain, _compliances(model, theta, situation),
+            measuring_in_base, hours_since(start, recording.time), reference,
+        )  # fmt: skip
+
+    def frozen(self, key: str, value: float) -> float:
+        """A figure of the recording a calibration was made from; `value` where this is that recording."""
+        return self.reference.setdefault(key, float(value))
+
+    def u(self, joint: int) -> Array:
+        """Joint position scaled to −1 … 1 over what was sampled."""
+        q = self.recording.q[:, joint]
+        low, high = self.frozen(f"low.{joint}", q.min()), self.frozen(f"high.{joint}", q.max())
+        return np.asarray((q - (low + high) / 2) / max((high - low) / 2, 1e-9))
+
+
+def _compliances(model: Model, theta: Array, situation: Situation) -> Array:
+    """(N, n+1, 6, 6) of every frame as calibrated, from the response to unit loads."""
+    joints = model.machine.n
+    out = np.zeros((len(situation), joints + 1, 6, 6))
+    at = 0
+    for term in model.terms:
+        size = len(term.parameters(model.machine.frame_names))
+        if isinstance(term, Compliance):
+            for b in range(6):
+                unit = np.zeros((len(situation), joints + 1, 6))
+                unit[:, term.frame, b] = 1.0
+                out[:, term.frame, :, b] += term.regressors(situation, unit) @ theta[at : at + size]
+        at += size
+    return out
+
+
+@dataclass(frozen=True)
+class Column:
+    """on: "frame" | "frames" | "points"; frame, component where on a frame; function and its arguments."""
+
+    on: str
+    function: str
+    args: dict[str, Any] = field(default_factory=dict)
+    frame: int = 0
+    component: int = 0
+
+    def evaluate(self, c: Context) -> Array:
+        """(N, 3T) displacement of the targets per unit of the column's coefficient, base axes."""
+        value = FUNCTIONS[self.function](c, **self.args)
+        if self.on == "frame":
+            return np.asarray(c.jacobian[:, :, self.frame, self.component] * value[:, None])
+        if self.on == "frames":
+            return np.asarray(np.einsum("nifk,nfk->ni", c.jacobian, value))
+        return np.asarray(value.reshape(len(value), -1))
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Column:
+        if data["function"] not in FUNCTIONS:
+            raise ValueError(f"unknown function '{data['function']}'")
+        return cls(data["on"], data["function"], dict(data["args"]), int(data["frame"]), int(data["component"]))
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "on": self.on, "function": self.function, "args": self.args, "frame": self.frame,
+            "component": self.component,
+        }  # fmt: skip
+
+
+# --- on one component of one frame: (N,) -----------------------------------------------------------------------
+def one(c: Context) -> Array:
+    return np.ones(len(c.recording))
+
+
+def approach(c: Context, joint: int) -> Array:
+    return c.recording.approach[:, joint].astype(float)
+
+
+def approach_q(c: Context, joint: int) -> Array:
+    return c.recording.approach[:, joint] * c.u(joint)
+
+
+def slipping(c: Context, joint: int, width: float) -> Array:
+    return slip(c.recording.q[:, joint], c.recording.approach[:, joint], width)
+
+
+def temperature(c: Context, place: str, tau: float) -> Array:
+    values = c.recording.temperatures[place]
+    return lagged(values, c.hours, tau) - c.frozen(f"mean.{place}", float(np.mean(values)))
+
+
+def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
+    return temperature(c, place, tau) * c.u(joint)
+
+
+def clock(c: Context, form: str, tau: float = 1.0) -> Array:
+    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "half" √t, "wave" by τ."""
+    t = c.hours
+    forms = {
+        "linear": t,
+        "exponential": 1.0 - np.exp(-t / tau),
+        "log": np.log1p(t / tau),
+        "cosine": np.cos(np.pi * tau * t / max(c.frozen("hours", float(t[-1])), 1e-9)),
+    }
+    return np.asarray(forms[form])
+
+
+def step(c: Context, visit_time: float) -> Array:
+    """1 from a moment on (hours since the start)."""
+    return np.asarray((c.hours >= visit_time).astype(float))
+
+
+def wave(c: Context, joint: int, period: float, phase: str) -> Array:
+    angle = 2 * np.pi * c.recording.q[:, joint] / period
+    return np.asarray(np.sin(angle) if phase == "sin" else np.cos(angle))
+
+
+def load(c: Context, frame: int, component: int) -> Array:
+    return np.asarray(c.wrenches[:, frame, component])
+
+
+def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) -> Array:
+    return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
+
+
+def load_power(c: Context, frame: int, component: int, exponent: float) -> Array:
+    w = c.wrenches[:, frame, component]
+    most = c.frozen(f"most.{frame}.{component}", float(np.abs(w).max()))
+    return np.asarray(np.sign(w) * np.abs(w) ** exponent / max(most, 1e-9) ** (exponent - 1))
+
+
+def load_side(c: Context, frame: int, component: int, width: float) -> Array:
+    """Which side a joint falls to: −1 … 1, saturating; width relative to the load's spread."""
+    w = c.wrenches[:, frame, component]
+    spread = c.frozen(f"spread.{frame}.{component}", float(w.std()))
+    return np.asarray(np.tanh(w / (width * max(spread, 1e-9))))
+
+
+def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
+    """Legendre polynomials of two joints, multiplied."""
+    basis = np.polynomial.legendre
+    one_a, one_b = np.zeros(power_a + 1), np.zeros(power_b + 1)
+    one_a[-1] = one_b[-1] = 1.0
+    return np.asarray(basis.legval(c.u(a), one_a) * basis.legval(c.u(b), one_b))
+
+
+def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
+    """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks; count 1: the column."""
+    values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
+    values = np.nan_to_num(values - np.nanmean(values))
+    spread = float(values.std())
+    if spread == 0:
+        return np.zeros(len(values))
+    if count == 1:
+        return np.asarray(values / spread)
+    rank = np.argsort(np.argsort(values, kind="stable"), kind="stable") / max(len(values) - 1, 1)
+    return np.asarray(np.exp(-0.5 * ((rank - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
+
+
+def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
+    return covariate(c, first, a, count) * covariate(c, second, b, count)
+
+
+def covariate_wave(c: Context, name: str, order: int) -> Array:
+    values = named_column(c, name)
+    span = float(np.nanmax(values) - np.nanmin(values)) or 1.0
+    return np.asarray(np.cos(np.pi * order * (values - np.nanmin(values)) / span))
+
+
+def named_column(c: Context, name: str) -> Array:
+    """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, previous q, move length."""
+    r, joints = c.recording, c.machine.joint_names
+    if name.startswith("q_"):
+        return np.asarray(r.q[:, joints.index(name[2:])])
+    if name.startswith("previous_q_"):
+        q = r.q[:, joints.index(name[11:])]
+        return np.concatenate([q[:1], q[:-1]])
+    if name.startswith("move_"):
+        q = r.q[:, joints.index(name[5:])]
+        return np.concatenate([[0.0], np.diff(q)])
+    if name.startswith("approach_"):
+        return np.asarray(r.approach[:, joints.index(name[9:])], dtype=float)
+    if name.startswith("temp_"):
+        return np.asarray(r.temperatures[name[5:-2]])
+    if name == "time":
+        return np.asarray(c.hours)
+    if name == "since_load_change":
+        return hours_since_change(r.load, c.hours)
+    if name == "settle_s":
+        return np.asarray(r.settle_s)
+    if name.startswith("cov_"):
+        return np.asarray(r.covariates[name[4:]])
+    return np.asarray(r.wrench[:, ("Fx", "Fy", "Fz", "Mx", "My", "Mz").index(name)])
+
+
+# --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
+def creep(c: Context, tau: float, frame: int = -1) -> Array:
+    """What is still missing of the deflection after load changes; frame −1: every elastic frame alike."""
+    out = np.zeros_like(c.wrenches)
+    for i in range(out.shape[1]) if frame < 0 else [frame]:
+        memory = load_memory(c.wrenches[:, i], c.recording.load, c.hours, tau)
+        out[:, i] = -np.einsum("nab,nb->na", c.compliance[:, i], memory)
+    return out
+
+
+def log_creep(c: Context, tau: float, frame: int = -1) -> Array:
+    """Deflection that goes on with the logarithm of the time since the load was changed."""
+    growth = np.log1p(hours_since_change(c.recording.load, c.hours) / tau)
+    out = np.einsum("nfab,nfb->nfa", c.compliance, c.wrenches) * growth[:, None, None]
+    if frame >= 0:
+        kept = np.zeros_like(out)
+        kept[:, frame] = out[:, frame]
+        out = kept
+    return np.asarray(out)
+
+
+def body_weight(c: Context, joint: int, what: str) -> Array:
+    """Deflection by 1 kg more on a joint's body ("mass"), or by 1 kg·m of shifted mass ("x", "y", "z")."""
+    out = np.zeros_like(c.wrenches)
+    g = c.machine.gravity
+    pose = c.chain[:, joint + 1]
+    com = c.machine.joints[joint].com
+    for i in range(1, joint + 2):
+        frame = c.chain[:, i]
+        if what == "mass":
+            force = np.broadcast_to(g, (len(out), 3))
+            arm = np.einsum("nij,j->ni", pose[:, :3, :3], com) + pose[:, :3, 3] - frame[:, :3, 3]
+            moment = np.cross(arm, force)
+        else:
+            force = np.zeros((len(out), 3))
+            axis = pose[:, :3, "xyz".index(what)]
+            moment = np.cross(axis, np.broadcast_to(g, (len(out), 3)))
+        out[:, i] = np.einsum("nab,nb->na", c.compliance[:, i], _turned(frame, force, moment))
+    return out
+
+
+def sensor_error(c: Context, component: int, source: int = -1, time: str = "") -> Array:
+    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, or with time."""
+    count = len(c.recording)
+    size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
+    if time:
+        size = size * clock(c, time)
+    wrench = np.zeros((count, 6))
+    wrench[:, component] = size
+    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
+    force = np.einsum("nij,nj->ni", sensor[:, :3, :3], wrench[:, :3])
+    moment = np.einsum("nij,nj->ni", sensor[:, :3, :3], wrench[:, 3:])
+    out = np.zeros_like(c.wrenches)
+    for i in range(1, out.shape[1]):
+        frame = c.chain[:, i]
+        here = moment + np.cross(sensor[:, :3, 3] - frame[:, :3, 3], force)
+        out[:, i] = -np.einsum("nab,nb->na", c.compliance[:, i], _turned(frame, force, here))
+    return out
+
+
+def _turned(frame: Array, force: Array, moment: Array) -> Array:
+    """Force and moment (N, 3) from base axes into a frame's: (N, 6)."""
+    into = np.swapaxes(frame[:, :3, :3], 1, 2)
+    return np.concatenate([(into @ force[..., None])[..., 0], (into @ moment[..., None])[..., 0]], axis=1)
+
+
+# --- on the measured points: (N, T, 3) ----------------------------------------------------------------------------
+def scale(c: Context, place: str = "") -> Array:
+    """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    if place:
+        rays = rays * temperature(c, place, 0.0)[:, None, None]
+    return np.asarray(rays)
+
+
+def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Array:
+    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start)."""
+    out = np.zeros_like(c.points)
+    out[:, target] = c.tips[:, :3, axis]
+    if since >= 0:
+        out = out * step(c, since)[:, None, None]
+    return out
+
+
+FUNCTIONS: dict[str, FunctionOfVisits] = {
+    f.__name__: f
+    for f in (
+        one, approach, approach_q, slipping, temperature, temperature_q, clock, step, wave, load, load_q, load_power,
+        load_side, pair, covariate, covariate_pair, covariate_wave, creep, log_creep, body_weight, sensor_error, scale,
+        target_shift,
+    )
+}  # fmt: skip
