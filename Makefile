@@ -27,8 +27,9 @@ types: env
 	$(BIN)/mypy
 layers: env
 	$(BIN)/lint-imports
+# One linear-algebra thread per test process: two processes with two threads each would fight over two cores.
 unit: env
-	$(BIN)/pytest -n 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -56,7 +56,7 @@ def gross_errors(space: Workspace) -> GrossErrors:
     scale = float(np.median(distance / chi2.median(freedom)))  # 1 when the noise is what the estimate says
     tail = chi2.sf(distance / max(scale, 1e-12), freedom)
     # heavier tails than normal are common: only what is far beyond them is wrong
-    far = (tail < GROSS / len(distance)) & (distance > 4.0 * scale * freedom)
+    far = (tail < GROSS / len(distance)) & (distance > 6.0 * scale * freedom)
     if not far.any() or far.mean() > 0.1:
         return GrossErrors()
     visits = np.flatnonzero(space.fit)[far]
