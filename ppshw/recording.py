@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 LIMIT_ROUNDING = 1e-6
 # No instrument says more than this in any of its units; beyond, it is a damaged cell whose square would overflow.
 LARGEST = 1e9
+LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     has_wrench = any(c in cells for c in WRENCH_COMPONENTS)
     wrench = np.zeros((len(table.rows), 6))
     if has_wrench:
-        wrench = np.column_stack([cells.numbers(c) for c in WRENCH_COMPONENTS])
+        wrench = np.column_stack([cells.numbers(c, largest=LARGEST_WRENCH) for c in WRENCH_COMPONENTS])
     has_approach = any(f"approach_{j}" in cells for j in joints)
     approach = np.column_stack([cells.approach(f"approach_{j}") for j in joints])
     unknown = np.full(len(table.rows), math.nan)
@@ -242,7 +243,7 @@ class _Cells:
         k = self._index[name]
         return [row[k].strip() for row in self._table.rows]
 
-    def numbers(self, name: str, fallback: Array | None = None) -> Array:
+    def numbers(self, name: str, fallback: Array | None = None, largest: float = LARGEST) -> Array:
         """Finite numbers; an empty cell takes `fallback` where that is given, else is an error."""
         out = np.empty(len(self._table.rows))
         for row, text in enumerate(self.raw(name)):
@@ -250,8 +251,8 @@ class _Cells:
                 out[row] = fallback[row]
                 continue
             out[row] = self._convert(row, name, text, _number, "a number")
-            if not abs(out[row]) <= LARGEST:
-                self.fail(row, name, f"'{text}' is no finite number below {LARGEST:g}")
+            if not abs(out[row]) <= largest:
+                self.fail(row, name, f"'{text}' is no finite number below {largest:g}")
         return out
 
     def point(self, name: str) -> Array:

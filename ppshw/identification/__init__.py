@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, Progress, estimate
 from ppshw.identification.paper import identify_paper
+from ppshw.identification.plausible import without_gross_errors
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 
 METHODS = ("joint", "paper")
+# A visit with a gross reading is hardly believed, whatever its other readings say.
+GROSS_WEIGHT = 1e-3
 
 
 def identify(
     machine: Machine, recording: Recording, method: str = "joint", progress: Progress | None = None
 ) -> Estimate:
-    """Identify model (17) by one of METHODS. Raises IdentificationFailed when the recording does not allow it."""
-    if method == "paper":
-        return identify_paper(machine, recording)
-    return estimate(joint_model(machine, recording), recording, progress=progress)
+    """Identify model (17) by one of METHODS. Raises IdentificationFailed when the recording does not allow it, and
+    RecordingError when it can be none of this machine."""
+    kept, gross = without_gross_errors(machine, recording)
+    try:
+        found: Estimate = (
+            identify_paper(machine, kept)
+            if method == "paper"
+            else estimate(joint_model(machine, kept), kept, progress=progress)
+        )
+    except np.linalg.LinAlgError as exc:
+        raise IdentificationFailed(f"{recording.source}: does not determine the model ({exc})") from None
+    return replace(found, weights=np.where(gross, np.minimum(found.weights, GROSS_WEIGHT), found.weights))

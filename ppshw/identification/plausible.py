@@ -1,0 +1,58 @@
+"""Before any fit: is this a recording of this machine at all, and which readings cannot be errors of a machine?
+
+A beam that caught another reflector, a slipped decimal point, millimetres for metres: such readings are no noise, and a
+least-squares start dragged along by them is found by no weighting afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.errors import IdentificationFailed, RecordingError
+from ppshw.identification.start import align, to_base
+from ppshw.kinematics import point_positions
+from ppshw.machine import Machine
+from ppshw.recording import Recording
+
+Array = NDArray[np.float64]
+# A machine that misses a tenth of its working space, and more than 0.1 m, at the median is another machine or in other
+# units; a reading off by 20 times the median and more than 50 mm is no error of a machine. Both are our judgement.
+ANOTHER_MACHINE, ANOTHER_MACHINE_M = 0.1, 0.1
+GROSS, GROSS_M = 20.0, 0.05
+ROUNDS = 20
+
+
+def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Recording, NDArray[np.bool_]]:
+    """The recording with gross readings taken for lost, and (N,) which visits had one.
+
+    Raises RecordingError when not single readings but most of them are far from where the ideal machine has them.
+    """
+    kept = recording
+    for _ in range(ROUNDS):
+        size, ideal = _missed(machine, recording, kept)
+        median = float(np.nanmedian(np.where(kept.seen, size, np.nan)))
+        gross = recording.seen & (size > max(GROSS_M, GROSS * median))
+        if (gross == (recording.seen & ~kept.seen)).all():
+            break
+        kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
+    spread = float(np.sqrt(ideal.reshape(-1, 3).var(axis=0).sum()))
+    if median > max(ANOTHER_MACHINE_M, ANOTHER_MACHINE * spread):
+        raise RecordingError(
+            f"{recording.source}: half of the targets are more than {median:.3g} m from where '{machine.name}' should "
+            "have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
+        )
+    return kept, np.asarray(gross.any(axis=1))
+
+
+def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Array, Array]:
+    """(N, T) how far each reading is from the ideal machine [m], the frame placed by `kept`; (N, T, 3) the ideal."""
+    frame, targets = machine.tracker.base, machine.target_array
+    if not kept.seen.any():
+        raise IdentificationFailed(f"{recording.source}: no target was measured")
+    if frame is None:
+        frame, targets = align(machine, kept, targets_free=not machine.tracker.targets_known)
+    ideal = point_positions(machine, recording.q, targets)
+    return np.linalg.norm(to_base(recording.points, frame) - ideal, axis=2), ideal
