@@ -55,7 +55,8 @@ def survives(folder: Path, name: str, change: Callable[[bytes], bytes], *command
             said = ppshw(*(w.replace("@", f"{folder}/") for w in words))
             assert said.code in (0, 1, 2)
             assert said.err == "" if said.code == 0 else one_line(said.err)
-            (folder / "new.db").unlink(missing_ok=True)
+            for made in ("new.db", "new.json"):
+                (folder / made).unlink(missing_ok=True)
             assert not list(folder.glob("*.part"))
     finally:
         (folder / name).write_bytes(good)
@@ -100,3 +101,10 @@ def test_no_damage_to_a_campaign_is_a_surprise(fuzzed: Path, change: Callable[[b
 def test_no_damage_to_a_site_is_a_surprise(fuzzed: Path, change: Callable[[bytes], bytes]) -> None:
     # a recording of another campaign stands in the way: the site is read, and nothing is ever connected
     survives(fuzzed, "site.yaml", change, ["run", "@little.yaml", "--site", "@site.yaml", "--out", "@good.db"])
+
+
+@settings(FEW, max_examples=15)
+@given(damage())
+def test_no_damage_to_a_table_surprises_the_identification(fuzzed: Path, change: Callable[[bytes], bytes]) -> None:
+    identify = ["identify", "@good.csv", "--machine", "@machine.yaml", "--out", "@new.json"]
+    survives(fuzzed, "good.csv", change, identify)
