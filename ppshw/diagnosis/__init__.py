@@ -117,12 +117,13 @@ def _answer(
 
 
 def _merged(found: list[Found]) -> list[Found]:
-    """One finding per name: further components of an effect already named belong to it."""
-    kept: list[Found] = []
-    for f in sorted(found, key=lambda f: -f.evidence):
-        if f.name not in [g.name for g in kept]:
-            kept.append(f)
-    return kept
+    """One finding per effect: what was taken up later under the same name, at this joint or another, mends its form."""
+    kept: dict[str, Found] = {}
+    for f in found:
+        first = kept.setdefault(f.name[0], f)
+        if first is not f:
+            first.weights = {**first.weights, f.name: first.weights.get(f.name, 0.0)}
+    return list(kept.values())
 
 
 def _held_out(space: Workspace) -> tuple[float, float]:

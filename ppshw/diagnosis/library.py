@@ -145,8 +145,8 @@ def _periodic(c: Context) -> Iterator[Candidate]:
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         shortest = 0.004 if joint.prismatic else 2 * np.pi / 120
-        most = int(min(2 * span / shortest, 700))
-        periods = 2 * span / np.arange(6, max(most, 7) + 1)
+        most = int(np.clip(2 * span / shortest, 80, 700))
+        periods = 2 * span / np.arange(6, most + 1)
         own = _own(c, k)
         for period in periods:
             args = {"joint": k, "period": float(period)}

@@ -8,8 +8,8 @@ import numpy as np
 
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import Found
-from ppshw.diagnosis.wording import coefficients, sentence
+from ppshw.diagnosis.search import Found, coefficients
+from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import Effect
 

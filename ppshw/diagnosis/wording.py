@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import Found, columns_of
+from ppshw.diagnosis.search import Found, coefficients
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import named_column
 
@@ -42,26 +42,6 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "alternatives": alternatives,
         "sentence": sentence(candidate, values, rms),
     }
-
-
-def coefficients(space: Workspace, candidate: Candidate) -> tuple[Array, Array, float]:
-    """Coefficients of the candidate as taken up, their standard deviations, and its rms at the reflectors [m]."""
-    columns = columns_of(space, candidate)
-    _, all_values = space.coefficients()
-    at = _where(space.taken, columns)
-    k = columns.shape[2]
-    values = all_values[at : at + k]
-    std = np.sqrt(np.maximum(np.diag(space.middle)[at : at + k], 0.0))
-    readings = max(int(space.recording.seen.sum()), 1)
-    rms = float(np.sqrt(((columns @ values) ** 2).sum() / readings))
-    return values, std, rms
-
-
-def _where(taken: Array, columns: Array) -> int:
-    for at in range(taken.shape[2] - columns.shape[2] + 1):
-        if np.array_equal(taken[:, :, at : at + columns.shape[2]], columns):
-            return at
-    raise AssertionError("a finding's columns are not in the workspace")
 
 
 def _unit(candidate: Candidate) -> str:
