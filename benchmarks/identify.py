@@ -184,8 +184,7 @@ def with_visits(folder: Path, counts: list[int], whole: int, memory: float) -> s
         ])  # fmt: skip
     text = flow(
         f"Growth, one round each; a measurement may take {memory:g} GiB. The first pass is the dearest: later ones "
-        "leave out what the data drive to nothing. From 750 visits on the model has more parameters, up to 1,506, and "
-        "a pass takes as their square."
+        "leave out what the data drive to nothing. With many visits the model gets finer functions, so more parameters."
     )
     header = ["visits", "parameters", "first pass, s", "ms per visit", "whole, s", "peak memory above data"]
     return f"{text}\n\n{table(header, rows)}\n"
