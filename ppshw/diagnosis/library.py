@@ -255,7 +255,7 @@ def _creep(c: Context) -> Iterator[Candidate]:
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:
     count = len(c.hours)
-    moments = 0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 150)]
+    moments = 0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 450)]
     for k, name in _joints(c):
         for moment in moments:
             column = Column("frame", "step", {"visit_time": float(moment)}, k + 1, _own(c, k))

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
         ("peers", ["| ppshw |", "µs per pose"]),
         ("identify", ["bare gelsd", "ms per visit"]),
         ("compensate", ["ordinary scheduling", "In bulk"]),
+        ("accuracy", ["| 67 |", "noise alone"]),
     ],
 )
 def test_each_short_benchmark_prints_its_table_and_writes_nothing(command: str, expected: list[str]) -> None:
