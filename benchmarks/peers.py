@@ -65,8 +65,8 @@ def environment(name: str, build: bool) -> Path | None:
     print(f"building {folder} …", file=sys.stderr)
     venv.create(folder, with_pip=True, clear=True)
     constraints = HERE / f"environment-{name}.txt"
-    # wheels only: an old scipy would be tried from source, and fail for want of a Fortran compiler
-    wanted = ["--only-binary", ":all:", "-c", str(constraints), *ENVIRONMENTS[name]]
+    # numpy and scipy as wheels: an old one would be tried from source, and fail for want of a Fortran compiler
+    wanted = ["--only-binary", "numpy,scipy", "-c", str(constraints), *ENVIRONMENTS[name]]
     subprocess.run([python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *wanted], check=True)
     stamp.write_text("")
     return python
