@@ -191,7 +191,7 @@ def _clearance(c: Context) -> Iterator[Candidate]:
             w = c.wrenches[:, frame, b]
             if min((w > 0).mean(), (w < 0).mean()) < 0.03:
                 continue
-            for width in (0.02, 0.1, 0.3, 0.7):
+            for width in (0.02, 0.1, 0.3):  # wider ones are nonlinear stiffness
                 args = {"frame": frame, "component": b, "width": width}
                 for comp in range(6):
                     yield Candidate(
@@ -223,9 +223,10 @@ def _coupling(c: Context) -> Iterator[Candidate]:
 def _moving_weight(c: Context) -> Iterator[Candidate]:
     for k, name in _joints(c):
         mass = Column("frames", "body_weight", {"joint": k, "what": "mass"})
-        shifts = tuple(Column("frames", "body_weight", {"joint": k, "what": axis}) for axis in "xyz")
         yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass,))
-        yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass, *shifts), share=0.5)
+        for axis in "xyz":
+            shift = Column("frames", "body_weight", {"joint": k, "what": axis})
+            yield Candidate("moving_weight", name, name, None, f"q_{name}", (shift,), share=0.2)
 
 
 def _wrench(c: Context) -> Iterator[Candidate]:

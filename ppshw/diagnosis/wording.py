@@ -79,7 +79,8 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
     elif candidate.effect == "target_moved":
         names, units = ["dx", "dy", "dz"], ["m"] * 3
     elif candidate.effect == "moving_weight":
-        names, units = ["mass", "mx", "my", "mz"][: len(names)], ["kg", "kg m", "kg m", "kg m"][: len(names)]
+        what = candidate.columns[0].args["what"]
+        names, units = (["mass"], ["kg"]) if what == "mass" else ([f"shifted_mass_{what}"], ["kg m"])
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
         load = "N" if candidate.covariate.startswith("F") else "N m"
         names, units = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))], [
