@@ -30,13 +30,17 @@ POSE = np.array([0.1, -0.05, 0.5, 0.3, 0.01, -0.01])
 
 @cache
 def calibrated(name: str) -> tuple[Plant, Calibration]:
-    """A machine that always arrives at the same place, measured without noise at 260 visits under eight loads."""
+    """A machine that always arrives at the same place, measured at 260 visits under eight loads.
+
+    The positioner without any noise; the arm with its tracker's 20 µm, because without noise the joint estimate makes
+    use of offsets of nearly a metre that cancel each other along parallel axes.
+    """
     plant = Plant.from_file(MACHINES / f"{name}.yaml", seed=11, repeatability=0.0)
     machine = load_machine(MACHINES / f"{name}.yaml")
     with TemporaryDirectory() as folder:
         csv = simulate_recording_csv(
             plant, Path(folder) / "r.csv", 260, np.random.default_rng(1), "mixed", visits_per_load=5,
-            measurement_noise=False,
+            measurement_noise=name != "pps",
         )  # fmt: skip
         recording = load_recording(csv, machine)
     return plant, Calibration.of(identify(machine, recording), recording, "joint")
