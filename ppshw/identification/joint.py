@@ -235,6 +235,8 @@ def _strengths(gram: Array, moment: Array, groups: _Groups, state: _State, steps
 
 def _solve(gram: Array, moment: Array, prior: Array) -> tuple[Array, Array]:
     """Posterior mean and covariance of z = θ/prior, z ~ N(0, 1)."""
+    if not len(moment):  # everything was left out: LAPACK would complain on stderr
+        return np.zeros(0), np.zeros((0, 0))
     precision = prior[:, None] * gram * prior
     precision[np.diag_indices_from(precision)] += 1.0
     factor = cho_factor(precision, lower=True)
