@@ -21,6 +21,7 @@ from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
+from ppshw.terms.shapes import named_column
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -59,16 +60,16 @@ def diagnose(
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
     gross = gross_errors(space)
+    believed = everything.copy()
     if gross.visits:
-        everything = np.ones(len(recording), dtype=bool)
-        everything[list(gross.visits)] = False
-        space = prepare(machine, recording, everything)
+        believed[list(gross.visits)] = False
+        space = prepare(machine, recording, believed)
     tell(2, 10)
     tried, found = _look(space, without, seed, lambda k: tell(2 + k, 10))
     if found:
         # strengths and noise were learnt beside the effect; learn them again without it, and look once more
         base = estimate(joint_model(machine, recording), _without(space).subset(space.fit))
-        space = prepare(machine, recording, everything, base)
+        space = prepare(machine, recording, believed, base)
         tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
     scatter = None if "unsettled" in without else scatter_finding(space, seed)
     answer = _answer(space, tried, found, gross, scatter)
@@ -154,7 +155,7 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
     candidate = tried.candidates[f.best]
     region = {}
     for name in candidate.covariates:
-        values = _values(space, name)
+        values = named_column(space.context, name)
         region[name] = [float(np.nanmin(values)), float(np.nanmax(values))]
     return {
         "covariates": list(candidate.covariates),
@@ -162,9 +163,3 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
         "rms_mm": finding(space, tried, f)["rms_mm"],
         "p_value": f.p,
     }
-
-
-def _values(space: Workspace, name: str) -> Array:
-    from ppshw.terms.shapes import named_column
-
-    return named_column(space.context, name)

@@ -65,10 +65,12 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
             "amplitude": {"value": amplitude, "std": spread, "unit": unit},
             "phase": {"value": float(np.arctan2(values[1], values[0])), "std": spread / max(amplitude, 1e-30),
                       "unit": "rad"},
-            "period": {"value": candidate.shape["period"], "std": None, "unit": _joint_unit(unit)},
+            "period": {"value": candidate.shape["period"], "std": None, "unit": unit},
         }  # fmt: skip
     elif candidate.effect == "tracker_scale":
-        names, units = _by_function(candidate, {"scale": ("scale", "1")})
+        grows = ["place" in column.args for column in candidate.columns]
+        names = ["scale_per_K" if g else "scale" for g in grows]
+        units = ["1/K" if g else "1" for g in grows]
     elif candidate.effect == "thermal_growth":
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
         units = [f"{unit}/K"] * len(values)
@@ -97,20 +99,6 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
     for name, value in candidate.shape.items():
         out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit)}
     return out
-
-
-def _by_function(candidate: Candidate, known: dict[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
-    names, units = [], []
-    for column in candidate.columns:
-        name, unit = known[column.function]
-        place = column.args.get("place")
-        names.append(f"{name}_per_K" if place else name)
-        units.append("1/K" if place else unit)
-    return names, units
-
-
-def _joint_unit(unit: str) -> str:
-    return unit
 
 
 def _shape_unit(name: str, unit: str) -> str:

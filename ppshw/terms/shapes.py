@@ -64,7 +64,8 @@ class Context:
         points = np.einsum("nij,pj->npi", tips[:, :3, :3], targets) + tips[:, None, :3, 3]
         jacobian = point_jacobian(chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
         reference = {} if reference is None else reference
-        start = reference.setdefault("start", float(recording.time[0]))
+        first = float(recording.time[0])
+        start = reference.setdefault("start", first if np.isfinite(first) else 0.0)
         return cls(
             model.machine, recording, jacobian, wrenches, points, tips, chain, _compliances(model, theta, situation),
             measuring_in_base, hours_since(start, recording.time), reference,
@@ -130,10 +131,6 @@ class Column:
 
 
 # --- on one component of one frame: (N,) -----------------------------------------------------------------------
-def one(c: Context) -> Array:
-    return np.ones(len(c.recording))
-
-
 def approach(c: Context, joint: int) -> Array:
     return c.recording.approach[:, joint].astype(float)
 
@@ -221,12 +218,6 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
     return covariate(c, first, a, count) * covariate(c, second, b, count)
-
-
-def covariate_wave(c: Context, name: str, order: int) -> Array:
-    values = named_column(c, name)
-    span = float(np.nanmax(values) - np.nanmin(values)) or 1.0
-    return np.asarray(np.cos(np.pi * order * (values - np.nanmin(values)) / span))
 
 
 def named_column(c: Context, name: str) -> Array:
@@ -342,8 +333,8 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Arr
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        one, approach, approach_q, slipping, temperature, temperature_q, clock, step, wave, load, load_q, load_power,
-        load_side, pair, covariate, covariate_pair, covariate_wave, creep, log_creep, body_weight, sensor_error, scale,
+        approach, approach_q, slipping, temperature, temperature_q, clock, step, wave, load, load_q, load_power,
+        load_side, pair, covariate, covariate_pair, creep, log_creep, body_weight, sensor_error, scale,
         target_shift,
     )
 }  # fmt: skip
