@@ -18,23 +18,21 @@ def nonlinear_stiffness(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     k, part = _loaded(scene, rng, crossing=False)
     form = str(rng.choice(["contact", "hardening", "softening"]))
-    load = scene.carried[:, k, part]
-    x = load / np.abs(load).max()
-    if form == "contact":
-        exponent = float(rng.uniform(2 / 3, 0.85))
-        shape = np.sign(x) * np.abs(x) ** exponent - x
-    elif form == "hardening":
-        exponent = float(
-            rng.uniform(0.15, 0.4)
-        )  # here: the share of the greatest load at which it is half stiff
-        shape = np.tanh(x / exponent) / np.tanh(1 / exponent) - x
-    else:
-        exponent = float(rng.uniform(1.6, 3.0))
-        shape = np.sign(x) * np.abs(x) ** exponent - x
+    greatest = np.abs(scene.carried[:, k, part]).max()
+    # of hardening: the share of the greatest load at which it is half stiff
+    between = {"contact": (2 / 3, 0.85), "hardening": (0.15, 0.4), "softening": (1.6, 3.0)}
+    exponent = float(rng.uniform(*between[form]))
+
+    def shape(s: Scene) -> Array:
+        x = s.carried[:, k, part] / greatest
+        if form == "hardening":
+            return np.asarray(np.tanh(x / exponent) / np.tanh(1 / exponent) - x)
+        return np.asarray(np.sign(x) * np.abs(x) ** exponent - x)
+
     name = scene.chain.joints[k].name
     return Concealed(
-        "nonlinear_stiffness", form, name, COMPONENTS[part], (LOADS[part],),
-        lambda size: Change(eps=scene.eps(k, size * shape[:, None] * _one(part))),
+        scene, "nonlinear_stiffness", form, name, COMPONENTS[part], (LOADS[part],),
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * _one(part))),
         lambda size: {"departure": size, "exponent": exponent},
     )  # fmt: skip
 
@@ -48,23 +46,27 @@ def clearance(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     k, part = _loaded(scene, rng, crossing=True)
     form = str(rng.choice(["smooth", "asymmetric", "sticky"]))
-    load = scene.carried[:, k, part]
-    x = load / np.abs(load).max()
+    greatest = np.abs(scene.carried[:, k, part]).max()
     width = float(rng.uniform(0.03, 0.1))
-    if form == "smooth":
-        side = np.tanh(x / width)
-    elif form == "asymmetric":
-        tipped = (x - rng.uniform(-0.1, 0.1)) / width
-        side = np.where(tipped > 0, 1.0, rng.uniform(0.5, 0.8)) * tipped / np.sqrt(1 + tipped**2)
-    else:
-        side, here = np.zeros(len(x)), float(np.sign(x[0]) or 1.0)
+    preload, farther = (rng.uniform(-0.1, 0.1), rng.uniform(0.5, 0.8)) if form == "asymmetric" else (0.0, 1.0)
+
+    def side(s: Scene) -> Array:
+        x = s.carried[:, k, part] / greatest
+        if form == "smooth":
+            return np.asarray(np.tanh(x / width))
+        if form == "asymmetric":
+            tipped = (x - preload) / width
+            return np.asarray(np.where(tipped > 0, 1.0, farther) * tipped / np.sqrt(1 + tipped**2))
+        out, here = np.zeros(len(x)), float(np.sign(x[0]) or 1.0)
         for v, value in enumerate(x):
             here = float(np.sign(value)) if abs(value) > width else here
-            side[v] = here
+            out[v] = here
+        return out
+
     name = scene.chain.joints[k].name
     return Concealed(
-        "clearance", form, name, COMPONENTS[part], (LOADS[part],),
-        lambda size: Change(eps=scene.eps(k, size / 2 * side[:, None] * _one(part))),
+        scene, "clearance", form, name, COMPONENTS[part], (LOADS[part],),
+        lambda s, size: Change(eps=s.eps(k, size / 2 * side(s)[:, None] * _one(part))),
         lambda size: {"play": size, "width": width},
     )  # fmt: skip
 
@@ -84,21 +86,34 @@ def moving_weight(scene: Scene, rng: np.random.Generator) -> Concealed:
         links = range(len(chain.joints))
         able = [(k, part) for k in links for part in (3, 4, 5) if own[:, k, part].std() > 0.05 * greatest]
         k, part = able[int(rng.integers(len(able)))]
-        shape = own[:, k, part] / np.abs(own[:, k, part]).max()
+        most = np.abs(own[:, k, part]).max()
+
+        def shape(s: Scene) -> Array:
+            return np.asarray((s.carried - s.payload)[:, k, part] / most)
+
     else:
         # hangs from the end of link `far`, one of those that are not on top of the link below; bends that one below
         arms = scene.poses[:, 1:, :3, 3] - scene.poses[:, :-1, :3, 3]
         level = np.linalg.norm(np.cross(arms, chain.gravity), axis=2).max(axis=0)
         far = 1 + int(rng.choice(np.flatnonzero(level > 0.3 * level.max())))
-        hanging = np.clip(0.5 + 0.5 * scene.unit_position(far), 0.0, 1.0) ** rng.uniform(1.0, 2.0)
-        moment = np.cross(arms[:, far - 1], chain.gravity) * hanging[:, None]
-        turned = np.einsum("nba,nb->na", scene.poses[:, far - 1, :3, :3], moment)
-        k, part = far - 1, 3 + int(np.argmax(turned.std(axis=0)))
-        shape = turned[:, part - 3] / np.abs(turned[:, part - 3]).max()
+        growth = rng.uniform(1.0, 2.0)
+
+        def turned(s: Scene) -> Array:
+            hanging = np.clip(0.5 + 0.5 * s.unit_position(far), 0.0, 1.0) ** growth
+            arm = s.poses[:, far, :3, 3] - s.poses[:, far - 1, :3, 3]
+            moment = np.cross(arm, chain.gravity) * hanging[:, None]
+            return np.asarray(np.einsum("nba,nb->na", s.poses[:, far - 1, :3, :3], moment))
+
+        k, part = far - 1, 3 + int(np.argmax(turned(scene).std(axis=0)))
+        most = np.abs(turned(scene)[:, part - 3]).max()
+
+        def shape(s: Scene) -> Array:
+            return np.asarray(turned(s)[:, part - 3] / most)
+
     moved = [chain.joints[j].name for j in range(k, len(chain.joints)) if np.ptp(scene.q[:, j]) > 0]
     return Concealed(
-        "moving_weight", form, chain.joints[k].name, COMPONENTS[part], tuple(f"q_{j}" for j in moved[:4]),
-        lambda size: Change(eps=scene.eps(k, size * shape[:, None] * _one(part))),
+        scene, "moving_weight", form, chain.joints[k].name, COMPONENTS[part], tuple(f"q_{j}" for j in moved[:4]),
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * _one(part))),
         lambda size: {"greatest_bend": size}, also=tuple(moved[1:2]),
     )  # fmt: skip
 
@@ -112,19 +127,22 @@ def wrench_error(scene: Scene, rng: np.random.Generator) -> Concealed:
     form = str(rng.choice(["gain", "cross-talk", "warm zero"]))
     reach = np.abs(scene.wrench).max(axis=0)
     reach = np.maximum(reach, 0.05 * np.repeat([reach[:3].max(), reach[3:].max()], 3))
-    if form == "gain":
-        shape = scene.wrench.copy()
-    elif form == "cross-talk":
-        leak = rng.normal(size=(3, 3)) * reach[3:].max() / reach[:3].max()
-        shape = np.hstack([np.zeros((len(scene), 3)), scene.wrench[:, :3] @ leak.T])
-    else:
-        warm = lagged(scene.campaign.temperature["air"], scene.campaign.time, 3600.0)
-        shape = (warm - warm[0])[:, None] * reach * rng.normal(size=6)
+    leak = rng.normal(size=(3, 3)) * reach[3:].max() / reach[:3].max() if form == "cross-talk" else np.zeros((3, 3))
+    per_kelvin = reach * rng.normal(size=6) if form == "warm zero" else np.zeros(6)
+
+    def shape(s: Scene) -> Array:
+        if form == "gain":
+            return s.wrench.copy()
+        if form == "cross-talk":
+            return np.hstack([np.zeros((len(s), 3)), s.wrench[:, :3] @ leak.T])
+        warm = lagged(s.campaign.temperature["air"], s.campaign.time, 3600.0)
+        return np.asarray((warm - warm[0])[:, None] * per_kelvin)
+
     sign = float(rng.choice([-1.0, 1.0]))
-    covariate = "temp_air_C" if form == "warm zero" else LOADS[int(np.argmax(np.abs(shape).std(axis=0)))]
+    covariate = "temp_air_C" if form == "warm zero" else LOADS[int(np.argmax(np.abs(shape(scene)).std(axis=0)))]
     return Concealed(
-        "wrench_error", form, None, None, (covariate,),
-        lambda size: Change(wrench=sign * size * shape), lambda size: {"relative": sign * size}, start=0.02,
+        scene, "wrench_error", form, None, None, (covariate,),
+        lambda s, size: Change(wrench=sign * size * shape(s)), lambda size: {"relative": sign * size}, start=0.02,
     )  # fmt: skip
 
 
@@ -144,28 +162,31 @@ def creep(scene: Scene, rng: np.random.Generator) -> Concealed:
             return np.asarray(np.maximum(1 - np.log1p(age / start) / np.log1p(10800 / start), 0.0))
         return np.asarray(share * np.exp(-age / fast) + (1 - share) * np.exp(-age / slow))
 
-    c = scene.campaign
-    held = np.column_stack([c.mass, c.mass[:, None] * c.com])  # what a load is at rest: mass and first moment
-    missing = np.zeros_like(held)
-    changes = np.flatnonzero(np.any(np.diff(held, axis=0) != 0, axis=1)) + 1
-    for v in (0, *changes):
-        before = np.zeros(4) if v == 0 else held[v - 1]
-        applied = c.time[v] - (
-            180.0 if v == 0 else 0.5 * (c.time[v] - c.time[v - 1])
-        )  # put on halfway between visits
-        age = np.maximum(c.time[v:] - applied, 0.0)
-        missing[v:] += (held[v] - before) * remaining(age)[:, None]
-    force = np.einsum("nba,b->na", (scene.poses[:, -1] @ scene.chain.sensor)[:, :3, :3], scene.chain.gravity)
-    late = np.concatenate([missing[:, :1] * force, np.cross(missing[:, 1:], force)], axis=1)
-    own = scene.carried - scene.payload
-    on_links = kinematics.link_wrenches(scene.chain, scene.poses, late) - own
     # the link's own spring, so that what creeps looks like what sags
     k, part = _loaded(scene, rng, crossing=False)
-    shape = on_links[:, k, part] / np.abs(scene.payload[:, k, part]).max()
+    most = np.abs(scene.payload[:, k, part]).max()
+
+    def shape(s: Scene) -> Array:
+        c = s.campaign
+        held = np.column_stack([c.mass, c.mass[:, None] * c.com])  # what a load is at rest: mass and first moment
+        missing = np.zeros_like(held)
+        changes = np.flatnonzero(np.any(np.diff(held, axis=0) != 0, axis=1)) + 1
+        for v in (0, *changes):
+            before = np.zeros(4) if v == 0 else held[v - 1]
+            # put on halfway between visits
+            applied = c.time[v] - (180.0 if v == 0 else 0.5 * (c.time[v] - c.time[v - 1]))
+            age = np.maximum(c.time[v:] - applied, 0.0)
+            missing[v:] += (held[v] - before) * remaining(age)[:, None]
+        force = np.einsum("nba,b->na", (s.poses[:, -1] @ s.chain.sensor)[:, :3, :3], s.chain.gravity)
+        late = np.concatenate([missing[:, :1] * force, np.cross(missing[:, 1:], force)], axis=1)
+        own = s.carried - s.payload
+        on_links = kinematics.link_wrenches(s.chain, s.poses, late) - own
+        return np.asarray(on_links[:, k, part] / most)
+
     name = scene.chain.joints[k].name
     return Concealed(
-        "creep", form, name, COMPONENTS[part], ("time", LOADS[part]),
-        lambda size: Change(eps=scene.eps(k, -size * shape[:, None] * _one(part))),
+        scene, "creep", form, name, COMPONENTS[part], ("time", LOADS[part]),
+        lambda s, size: Change(eps=s.eps(k, -size * shape(s)[:, None] * _one(part))),
         lambda size: {"full_load_creep": size, "fast_s": float(fast), "slow_s": float(slow)},
     )  # fmt: skip
 
@@ -178,19 +199,26 @@ def missing_compliance(scene: Scene, rng: np.random.Generator) -> Concealed:
     on_floor = not scene.rigid
     k = 0 if on_floor else [j.name for j in scene.chain.joints].index(scene.rigid[0])
     soft = np.concatenate([rng.uniform(0.2, 1.0, 3) * 0.05, rng.uniform(0.5, 1.5, 3)])  # [m²] against rad/(N m)
-    if on_floor:  # the wrench at the base's origin, in its axes: floor and anchors
-        turn, at = scene.poses[:, 0, :3, :3], scene.poses[:, 0, :3, 3]
-        force = np.einsum("nab,nb->na", turn, scene.carried[:, 0, :3])
-        moment = np.einsum("nab,nb->na", turn, scene.carried[:, 0, 3:]) + np.cross(at, force)
-        load = np.concatenate([force, moment], axis=1)
-    else:
-        load = scene.carried[:, k]
-    shape = soft * load / np.abs(load[:, 3:]).max()
+
+    def load(s: Scene) -> Array:
+        if not on_floor:
+            return s.carried[:, k]
+        # the wrench at the base's origin, in its axes: floor and anchors
+        turn, at = s.poses[:, 0, :3, :3], s.poses[:, 0, :3, 3]
+        force = np.einsum("nab,nb->na", turn, s.carried[:, 0, :3])
+        moment = np.einsum("nab,nb->na", turn, s.carried[:, 0, 3:]) + np.cross(at, force)
+        return np.concatenate([force, moment], axis=1)
+
+    most = float(np.abs(load(scene)[:, 3:]).max())
+
+    def bent(s: Scene, size: float) -> Change:
+        shape = soft * load(s) / most
+        return Change(base=size * shape) if on_floor else Change(eps=s.eps(k, size * shape))
+
     joint = None if on_floor else scene.chain.joints[k].name
     return Concealed(
-        "missing_compliance", "floor" if on_floor else "joint taken for rigid", joint, None, LOADS,
-        lambda size: Change(base=size * shape) if on_floor else Change(eps=scene.eps(k, size * shape)),
-        lambda size: {"compliance": size / float(np.abs(load[:, 3:]).max())},
+        scene, "missing_compliance", "floor" if on_floor else "joint taken for rigid", joint, None, LOADS, bent,
+        lambda size: {"compliance": size / most},
     )  # fmt: skip
 
 

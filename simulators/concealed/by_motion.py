@@ -30,13 +30,13 @@ def backlash(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     k, name = _pick(scene, rng)
     form = str(rng.choice(["play", "soft walls", "worn in the middle"]))
-    path = scene.campaign.commanded[:, k]
-    steps = _way(scene.campaign.before[0, k], path)
     twist, component = scene.own_freedom(k)
     softness = rng.uniform(2.0, 8.0)
-    wear = np.exp(-((scene.unit_position(k) / 0.5) ** 2))
 
-    def lag(gap: float) -> Array:
+    def lag(s: Scene, gap: float) -> Array:
+        path = s.campaign.commanded[:, k]
+        steps = _way(s.campaign.before[0, k], path)
+        wear = np.exp(-((s.unit_position(k) / 0.5) ** 2))
         half = gap / 2 * (1.0 if form != "worn in the middle" else 0.6 + 0.8 * wear)
         half = np.broadcast_to(half, path.shape)
         behind, out = 0.0, np.zeros(len(path))
@@ -52,8 +52,8 @@ def backlash(scene: Scene, rng: np.random.Generator) -> Concealed:
         return -out
 
     return Concealed(
-        "backlash", form, name, component, (f"approach_{name}",),
-        lambda gap: Change(eps=scene.eps(k, lag(gap)[:, None] * twist)), lambda gap: {"gap": gap}, start=2e-4,
+        scene, "backlash", form, name, component, (f"approach_{name}",),
+        lambda s, gap: Change(eps=s.eps(k, lag(s, gap)[:, None] * twist)), lambda gap: {"gap": gap}, start=2e-4,
     )  # fmt: skip
 
 
@@ -65,28 +65,32 @@ def friction_hysteresis(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     k, name = _pick(scene, rng)
     form = str(rng.choice(["Maxwell slip", "Dahl"]))
-    steps = _way(scene.campaign.before[0, k], scene.campaign.commanded[:, k])
     twist, component = scene.own_freedom(k)
-    state = np.zeros(len(steps))
+    count = int(rng.integers(3, 6)) if form == "Maxwell slip" else 0
+    breakaway, share = np.zeros(0), np.zeros(0)
     if form == "Maxwell slip":
-        count = int(rng.integers(3, 6))
         breakaway = scene.travel(k) * np.exp(rng.uniform(np.log(0.02), np.log(0.4), count))
         share = rng.dirichlet(np.full(count, 2.0))
-        z = np.zeros(count)
-        for v, step in enumerate(steps):
-            z = np.clip(z + step, -breakaway, breakaway)
-            state[v] = share @ (z / breakaway)
         way = float(share @ breakaway)
     else:
         way = scene.travel(k) * float(np.exp(rng.uniform(np.log(0.05), np.log(0.25))))
-        one = 0.0
+
+    def state(s: Scene) -> Array:
+        steps = _way(s.campaign.before[0, k], s.campaign.commanded[:, k])
+        out, z, one = np.zeros(len(steps)), np.zeros(count), 0.0
         for v, step in enumerate(steps):
-            wall = float(np.sign(step))
-            one = wall + (one - wall) * float(np.exp(-abs(step) / way)) if step else one
-            state[v] = one
+            if count:
+                z = np.clip(z + step, -breakaway, breakaway)
+                out[v] = share @ (z / breakaway)
+            else:
+                wall = float(np.sign(step))
+                one = wall + (one - wall) * float(np.exp(-abs(step) / way)) if step else one
+                out[v] = one
+        return out
+
     return Concealed(
-        "friction_hysteresis", form, name, component, (f"approach_{name}", f"q_{name}"),
-        lambda size: Change(eps=scene.eps(k, -size * state[:, None] * twist)),
+        scene, "friction_hysteresis", form, name, component, (f"approach_{name}", f"q_{name}"),
+        lambda s, size: Change(eps=s.eps(k, -size * state(s)[:, None] * twist)),
         lambda size: {"wind_up": size, "way": way},
     )  # fmt: skip
 
@@ -101,19 +105,23 @@ def periodic_transmission(scene: Scene, rng: np.random.Generator) -> Concealed:
     form = str(rng.choice(["two harmonics", "tooth"]))
     # between an eighth of the travel, which a smooth error function cannot follow, and a sixtieth
     period = scene.travel(k) * float(np.exp(rng.uniform(np.log(1 / 60), np.log(1 / 10))))
-    turn = scene.q[:, k] / period
     phase = rng.uniform(0, 1, 2)
-    if form == "two harmonics":
-        second = rng.uniform(0.1, 0.5)
-        wave = np.sin(2 * np.pi * (turn + phase[0])) + second * np.sin(4 * np.pi * (turn + phase[1]))
-    else:
-        steep = rng.uniform(0.75, 0.9)
+    second = rng.uniform(0.1, 0.5) if form == "two harmonics" else 0.0
+    steep = rng.uniform(0.75, 0.9) if form == "tooth" else 1.0
+
+    def wave(s: Scene) -> Array:
+        turn = s.q[:, k] / period
+        if form == "two harmonics":
+            return np.asarray(
+                np.sin(2 * np.pi * (turn + phase[0])) + second * np.sin(4 * np.pi * (turn + phase[1]))
+            )
         place = np.mod(turn + phase[0], 1.0)
-        wave = np.where(place < steep, 2 * place / steep - 1, 1 - 2 * (place - steep) / (1 - steep))
+        return np.asarray(np.where(place < steep, 2 * place / steep - 1, 1 - 2 * (place - steep) / (1 - steep)))
+
     twist, component = scene.own_freedom(k)
     return Concealed(
-        "periodic_transmission", form, name, component, (f"q_{name}",),
-        lambda size: Change(eps=scene.eps(k, size * wave[:, None] * twist)),
+        scene, "periodic_transmission", form, name, component, (f"q_{name}",),
+        lambda s, size: Change(eps=s.eps(k, size * wave(s)[:, None] * twist)),
         lambda size: {"amplitude": size, "period": period},
     )  # fmt: skip
 
@@ -128,16 +136,21 @@ def zero_shift(scene: Scene, rng: np.random.Generator) -> Concealed:
     form = str(rng.choice(["jump", "creeping back", "two jumps"]))
     time = scene.campaign.time
     when = float(time[0] + (time[-1] - time[0]) * rng.uniform(0.2, 0.6))
-    step = np.where(time >= when, 1.0, 0.0)
-    if form == "creeping back":
-        step = step * (0.6 + 0.4 * np.exp(-np.maximum(time - when, 0.0) / rng.uniform(1800, 7200)))
+    fading = rng.uniform(1800, 7200) if form == "creeping back" else np.inf
+    second, later = 0.0, when
     if form == "two jumps":
-        step = step + rng.uniform(0.4, 0.8) * (time >= when + rng.uniform(0.15, 0.3) * (time[-1] - time[0]))
+        second, later = rng.uniform(0.4, 0.8), when + rng.uniform(0.15, 0.3) * (time[-1] - time[0])
+
+    def step(s: Scene) -> Array:
+        now = s.campaign.time
+        left = 0.6 + 0.4 * np.exp(-np.maximum(now - when, 0.0) / fading) if form == "creeping back" else 1.0
+        return np.asarray(np.where(now >= when, 1.0, 0.0) * left + second * (now >= later))
+
     twist, component = scene.own_freedom(k)
     sign = rng.choice([-1.0, 1.0])
     return Concealed(
-        "zero_shift", form, name, component, ("time",),
-        lambda size: Change(eps=scene.eps(k, sign * size * step[:, None] * twist)),
+        scene, "zero_shift", form, name, component, ("time",),
+        lambda s, size: Change(eps=s.eps(k, sign * size * step(s)[:, None] * twist)),
         lambda size: {"jump": sign * size, "after_s": when},
     )  # fmt: skip
 
@@ -152,19 +165,21 @@ def cross_coupling(scene: Scene, rng: np.random.Generator) -> Concealed:
     k, other = (int(x) for x in rng.choice(len(scene.chain.joints), 2, replace=False))
     name, second = scene.chain.joints[k].name, scene.chain.joints[other].name
     form = str(rng.choice(["bilinear", "waves", "corner"]))
-    u, w = scene.unit_position(k), scene.unit_position(other)
     a, b, phase = rng.uniform(1.5, 4.0), rng.uniform(1.5, 4.0), rng.uniform(0, 2 * np.pi, 2)
-    shapes: dict[str, Callable[[], Array]] = {
-        "bilinear": lambda: u * w,
-        "waves": lambda: np.sin(a * u + phase[0]) * np.sin(b * w + phase[1]),
-        "corner": lambda: np.maximum(u + 0.3, 0.0) * np.maximum(w + 0.3, 0.0),
+    shapes: dict[str, Callable[[Array, Array], Array]] = {
+        "bilinear": lambda u, w: u * w,
+        "waves": lambda u, w: np.sin(a * u + phase[0]) * np.sin(b * w + phase[1]),
+        "corner": lambda u, w: np.maximum(u + 0.3, 0.0) * np.maximum(w + 0.3, 0.0),
     }
-    shape = shapes[form]()
+
+    def shape(s: Scene) -> Array:
+        return shapes[form](s.unit_position(k), s.unit_position(other))
+
     component = int(rng.integers(6))
     twist = _one(component)
     return Concealed(
-        "cross_coupling", form, name, COMPONENTS[component], (f"q_{name}", f"q_{second}"),
-        lambda size: Change(eps=scene.eps(k, size * shape[:, None] * twist)),
+        scene, "cross_coupling", form, name, COMPONENTS[component], (f"q_{name}", f"q_{second}"),
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * twist)),
         lambda size: {"size": size}, also=(second,),
     )  # fmt: skip
 

@@ -21,28 +21,33 @@ def thermal_growth(scene: Scene, rng: np.random.Generator) -> Concealed:
     joint = chain.joints[k]
     form = str(rng.choice(["grows", "two lags", "bends"]))
     place = str(rng.choice(["air", "rail"])) if k < 2 else "air"
-    time, felt = scene.campaign.time, scene.campaign.temperature[place]
     slow = rng.uniform(2400, 5400)
+    part, fast = 1.0, 0.0
     if form == "two lags":
-        part = rng.uniform(0.3, 0.7)
-        warm = part * lagged(felt, time, rng.uniform(300, 900)) + (1 - part) * lagged(felt, time, slow)
+        part, fast = rng.uniform(0.3, 0.7), rng.uniform(300, 900)
     else:
-        warm = lagged(felt, time, rng.uniform(600, 3000))
-    warm = warm - warm[0]
-    if form == "bends":
-        component = int(rng.integers(3, 6))
-        warm = warm + rng.uniform(0.5, 1.0) * (felt - felt[0] - warm)
-        shape = warm[:, None] * np.eye(6)[component]
-    else:
-        following = chain.joints[k + 1].origin[:3, 3] if k + 1 < len(chain.joints) else chain.tip[:3, 3]
-        along = joint.axis if joint.prismatic else following / max(float(np.linalg.norm(following)), 1e-9)
-        free = 0.3 * scene.travel(k) + scene.q[:, k] - joint.lower if joint.prismatic else np.ones(len(scene))
-        component = int(np.argmax(np.abs(along)))
-        shape = np.concatenate([(warm * free)[:, None] * along, np.zeros((len(scene), 3))], axis=1)
+        fast = rng.uniform(600, 3000)
+    component, outside = (int(rng.integers(3, 6)), rng.uniform(0.5, 1.0)) if form == "bends" else (-1, 0.0)
+    following = chain.joints[k + 1].origin[:3, 3] if k + 1 < len(chain.joints) else chain.tip[:3, 3]
+    along = joint.axis if joint.prismatic else following / max(float(np.linalg.norm(following)), 1e-9)
+    component = component if form == "bends" else int(np.argmax(np.abs(along)))
+
+    def shape(s: Scene) -> Array:
+        time, felt = s.campaign.time, s.campaign.temperature[place]
+        warm = lagged(felt, time, fast)
+        if form == "two lags":
+            warm = part * warm + (1 - part) * lagged(felt, time, slow)
+        warm = warm - warm[0]
+        if form == "bends":
+            warm = warm + outside * (felt - felt[0] - warm)
+            return np.asarray(warm[:, None] * np.eye(6)[component])
+        free = 0.3 * s.travel(k) + s.q[:, k] - joint.lower if joint.prismatic else np.ones(len(s))
+        return np.concatenate([(warm * free)[:, None] * along, np.zeros((len(s), 3))], axis=1)
+
     covariates = (f"temp_{place}_C", *((f"q_{joint.name}",) if joint.prismatic and form != "bends" else ()))
     return Concealed(
-        "thermal_growth", form, joint.name, COMPONENTS[component], covariates,
-        lambda size: Change(eps=scene.eps(k, size * shape)), lambda size: {"per_kelvin": size}, start=2e-5,
+        scene, "thermal_growth", form, joint.name, COMPONENTS[component], covariates,
+        lambda s, size: Change(eps=s.eps(k, size * shape(s))), lambda size: {"per_kelvin": size}, start=2e-5,
     )  # fmt: skip
 
 
@@ -63,9 +68,13 @@ def drift(scene: Scene, rng: np.random.Generator) -> Concealed:
     course = (course - course[0]) / max(float(np.std(course)), 1e-12)
     span = float(np.ptp(scene.points(random=False).reshape(-1, 3), axis=0).max())
     twist = np.concatenate([_direction(rng), _direction(rng) * rng.uniform(0.2, 0.8) / span])
+
+    def at(s: Scene, size: float) -> Change:  # in time, from one campaign to another: between visits straight on
+        now = course if s is scene else np.interp(s.campaign.time, time, course)
+        return Change(base=size * now[:, None] * twist)
+
     return Concealed(
-        "drift", form, None, None, ("time",),
-        lambda size: Change(base=size * course[:, None] * twist), lambda size: {"one_deviation": size}, start=5e-5,
+        scene, "drift", form, None, None, ("time",), at, lambda size: {"one_deviation": size}, start=5e-5,
     )  # fmt: skip
 
 
@@ -76,12 +85,14 @@ def tracker_scale(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     form = str(rng.choice(["constant", "with the air", "with the air, from a station"]))
     station = None if form != "with the air, from a station" else rng.uniform(2.5, 5.0) * _direction(rng)
-    air = scene.campaign.temperature["air"] - 20.0
-    shape = np.ones(len(scene)) if form == "constant" else air
+
+    def shape(s: Scene) -> Array:
+        return np.ones(len(s)) if form == "constant" else s.campaign.temperature["air"] - 20.0
+
     sign = float(rng.choice([-1.0, 1.0]))
     return Concealed(
-        "tracker_scale", form, None, None, () if form == "constant" else ("temp_air_C",),
-        lambda size: Change(stretch=sign * size * shape, station=station),
+        scene, "tracker_scale", form, None, None, () if form == "constant" else ("temp_air_C",),
+        lambda s, size: Change(stretch=sign * size * shape(s), station=station),
         lambda size: {"scale": sign * size}, start=5e-5,
     )  # fmt: skip
 
@@ -93,16 +104,22 @@ def target_moved(scene: Scene, rng: np.random.Generator) -> Concealed:
     which = int(rng.integers(len(names)))
     time = scene.campaign.time
     when = float(time[0] + (time[-1] - time[0]) * rng.uniform(0.2, 0.65))
-    course = np.ones(len(time))
-    if form == "knocked":
-        course = (time >= when).astype(float)
-    elif form == "sliding":
-        course = -np.expm1(-np.maximum(time - when, 0.0) / rng.uniform(1200, 5400))
-    moved = np.zeros((len(scene), len(names), 3))
-    moved[:, which] = course[:, None] * _direction(rng)
+    slow = rng.uniform(1200, 5400) if form == "sliding" else 1.0
+    way = _direction(rng)
+
+    def moved(s: Scene) -> Array:
+        course, now = np.ones(len(s)), s.campaign.time
+        if form == "knocked":
+            course = (now >= when).astype(float)
+        elif form == "sliding":
+            course = -np.expm1(-np.maximum(now - when, 0.0) / slow)
+        out = np.zeros((len(s), len(names), 3))
+        out[:, which] = course[:, None] * way
+        return out
+
     return Concealed(
-        "target_moved", form, None, None, () if form == "always" else ("time",),
-        lambda size: Change(on_tip=size * moved), lambda size: {"moved": size}, start=3e-4, target=names[which],
+        scene, "target_moved", form, None, None, () if form == "always" else ("time",),
+        lambda s, size: Change(on_tip=size * moved(s)), lambda size: {"moved": size}, start=3e-4, target=names[which],
     )  # fmt: skip
 
 
@@ -122,7 +139,7 @@ def outliers(scene: Scene, rng: np.random.Generator) -> Concealed:
         else:
             wrong[v, rng.integers(len(scene.targets))] = size * _direction(rng)
     return Concealed(
-        "outliers", form, None, None, (), lambda size: Change(readings=size * wrong),
+        scene, "outliers", form, None, None, (), lambda s, size: Change(readings=size * _there(wrong, s, scene)),
         lambda size: {"count": float(count), "size": size}, start=1e-3,
     )  # fmt: skip
 
@@ -152,10 +169,17 @@ def unsettled(scene: Scene, rng: np.random.Generator) -> Concealed:
         "under load": "Fy",
     }
     return Concealed(
-        "unsettled", form, None, None, (covariate[form],),
-        lambda size: Change(eps=scene.eps(k, size * shake[:, None] * twist)), lambda size: {"amplitude": size},
-        also=(scene.chain.joints[k].name,),
+        scene, "unsettled", form, None, None, (covariate[form],),
+        lambda s, size: Change(eps=s.eps(k, size * _there(shake, s, scene)[:, None] * twist)),
+        lambda size: {"amplitude": size}, also=(scene.chain.joints[k].name,),
     )  # fmt: skip
+
+
+def _there(drawn: Array, scene: Scene, there: Scene) -> Array:
+    """What was drawn visit by visit belongs to the campaign that it was drawn for."""
+    if scene is not there:
+        raise ValueError("noise is drawn for each visit of one campaign and cannot be carried to another")
+    return drawn
 
 
 def _direction(rng: np.random.Generator) -> Array:

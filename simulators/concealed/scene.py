@@ -41,27 +41,34 @@ class Change:
 class Concealed:
     """One effect, its size still open.
 
+    scene       the campaign that it was drawn on: what it depends on and where it sits were chosen there
     effect      the contract's name (§4), or one of our own for what no term knows
     form        which of its forms, in words
     joint       the joint that a diagnosis should name; None where it belongs to none
     component   of that joint's frame, tx … rz, or None
     covariates  the columns that it depends on
-    change      amplitude → Change; parameters: amplitude → values that a person would want to know
+    on          (scene, amplitude) → Change, on that campaign or on any other of the same plant
+    parameters  amplitude → values that a person would want to know
     start       an amplitude to begin with
     also        other joints that would be a fair answer;  neighbours: other names that would be
     """
 
+    scene: Scene
     effect: str
     form: str
     joint: str | None
     component: str | None
     covariates: tuple[str, ...]
-    change: Callable[[float], Change]
+    on: Callable[[Scene, float], Change]
     parameters: Callable[[float], dict[str, float]]
     start: float = 1e-4
     also: tuple[str, ...] = ()
     neighbours: tuple[str, ...] = ()
     target: str | None = None
+
+    def change(self, amplitude: float) -> Change:
+        """On the campaign that it was drawn on."""
+        return self.on(self.scene, amplitude)
 
 
 @dataclass(frozen=True)

@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from simulators.chain import Array
 from simulators.concealed.scene import COMPONENTS, Change, Concealed, Scene
 
 
 def counterbalance_memory(scene: Scene, rng: np.random.Generator) -> Concealed:
     """A gas-spring counterbalance stays where the pose before left it: the error follows the last pose's height."""
     k, part = _frame(scene, rng, 3)
-    height = -scene.poses[:, -1, :3, 3] @ scene.chain.gravity
-    last = np.concatenate([height[:1], height[:-1]])
+
+    def last(s: Scene) -> Array:
+        height = -s.poses[:, -1, :3, 3] @ s.chain.gravity
+        return np.concatenate([height[:1], height[:-1]])
+
+    middle, spread = last(scene).mean(), last(scene).std()
     return _concealed(scene, "counterbalance_memory", "potential energy of the pose before", k, part,
-                      (last - last.mean()) / last.std(), ("previous_pose",))  # fmt: skip
+                      lambda s: (last(s) - middle) / spread, ("previous_pose",))  # fmt: skip
 
 
 def warm_load(scene: Scene, rng: np.random.Generator) -> Concealed:
     """A polymer bearing: softer when warm, and the softening stays until it has cooled past where it began."""
     k, part = _frame(scene, rng, 3, moments=True)
     air = scene.campaign.temperature["air"]
-    warm = (air - air.mean()) / air.std()
-    state, held = np.zeros(len(warm)), float(warm[0])
-    for v, value in enumerate(warm):  # play in temperature: softening lags by half a deviation either way
-        held = float(np.clip(held, value - 0.5, value + 0.5))
-        state[v] = held
-    load = scene.payload[:, k, part]
+    middle, spread, most = air.mean(), air.std(), np.abs(scene.payload[:, k, part]).max()
+
+    def shape(s: Scene) -> Array:
+        warm = (s.campaign.temperature["air"] - middle) / spread
+        state, held = np.zeros(len(warm)), float(warm[0])
+        for v, value in enumerate(warm):  # play in temperature: softening lags by half a deviation either way
+            held = float(np.clip(held, value - 0.5, value + 0.5))
+            state[v] = held
+        return np.asarray(state * s.payload[:, k, part] / most)
+
     return _concealed(scene, "warm_load", "temperature with play, times the load", k, part,
-                      state * load / np.abs(load).max(), ("temp_air_C", "Fx", "Fy", "Fz", "Mx", "My", "Mz"),
+                      shape, ("temp_air_C", "Fx", "Fy", "Fz", "Mx", "My", "Mz"),
                       ("thermal_growth", "nonlinear_stiffness"))  # fmt: skip
 
 
@@ -35,18 +46,26 @@ def air_conditioning(scene: Scene, rng: np.random.Generator) -> Concealed:
     """A fan that goes on and off by the clock leans on the cantilever, the more the farther a joint is out."""
     k, part = _frame(scene, rng, len(scene.chain.joints))
     period = rng.uniform(2400, 5400)
-    on = np.sign(np.sin(2 * np.pi * scene.campaign.time / period + rng.uniform(0, 2 * np.pi)))
+    phase = rng.uniform(0, 2 * np.pi)
+
+    def shape(s: Scene) -> Array:
+        on = np.sign(np.sin(2 * np.pi * s.campaign.time / period + phase))
+        return np.asarray(on * (0.3 + s.unit_position(k)))
+
     return _concealed(scene, "air_conditioning", f"on and off every {period / 2:.0f} s, times the joint's position", k,
-                      part, on * (0.3 + scene.unit_position(k)), ("time", f"q_{scene.chain.joints[k].name}"),
+                      part, shape, ("time", f"q_{scene.chain.joints[k].name}"),
                       ("thermal_growth",))  # fmt: skip
 
 
 def resonance(scene: Scene, rng: np.random.Generator) -> Concealed:
     """Moves of one length excite the gantry; it comes to rest off its place in the direction of travel."""
     k, part = _frame(scene, rng, 3)
-    moved = (scene.campaign.commanded - scene.campaign.before)[:, k] / scene.travel(k)
     at, width = rng.uniform(0.15, 0.4), rng.uniform(0.08, 0.2)
-    shape = np.sign(moved) / (1 + ((np.abs(moved) - at) / width) ** 2)
+
+    def shape(s: Scene) -> Array:
+        moved = (s.campaign.commanded - s.campaign.before)[:, k] / s.travel(k)
+        return np.asarray(np.sign(moved) / (1 + ((np.abs(moved) - at) / width) ** 2))
+
     name = scene.chain.joints[k].name
     return _concealed(scene, "resonance", "length of the joint's last move", k, part, shape,
                       (f"approach_{name}", f"q_{name}", "previous_pose"),
@@ -67,13 +86,13 @@ def _concealed(
     form: str,
     k: int,
     part: int,
-    shape: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    shape: Callable[[Scene], Array],
     covariates: tuple[str, ...],
     neighbours: tuple[str, ...] = (),
 ) -> Concealed:
     twist = np.eye(6)[part]
     return Concealed(
-        effect, form, scene.chain.joints[k].name, COMPONENTS[part], covariates,
-        lambda size: Change(eps=scene.eps(k, size * shape[:, None] * twist)), lambda size: {"size": size},
+        scene, effect, form, scene.chain.joints[k].name, COMPONENTS[part], covariates,
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * twist)), lambda size: {"size": size},
         neighbours=neighbours,
     )  # fmt: skip
