@@ -1,0 +1,222 @@
+"""One pure function over many jobs, on dask.distributed: a local cluster, or the scheduler of a real one.
+
+    outcome = run_jobs(function, jobs, journal=out / "results.jsonl", workers=4)
+
+`function` takes a job's arguments and returns what JSON can hold; it must be importable by name where the workers are,
+and depend on its arguments alone (its seed among them). So the numbers are the same on any cluster and in any order.
+A result is in the journal as soon as it is there, and the same call again computes only what is missing.
+
+A worker that dies costs the job it was at, which is done again elsewhere. dask blames every job that was waiting at a
+dead worker, so what it gives up is done once more alone; a job that kills its workers even then is listed as lost.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ppshw.errors import BadInput, PpshwError
+from ppshw.studies.journal import Journal
+
+Json = dict[str, Any]
+Function = Callable[..., Json]
+Say = Callable[[int, int], None]
+# A job may take this many workers with it, on a local cluster, before it is suspected; then once more alone.
+ALLOWED_FAILURES = 1
+# Batches that lie ready at the scheduler per thread, so that none waits for this process.
+AHEAD = 3
+NO_WORKERS_S = 120.0
+CONNECT_S = 20.0
+LOOK_AROUND_S = 2.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """key: unique in a study; arguments: what the function is called with, JSON."""
+
+    key: str
+    arguments: Json
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """results, lost: by key, in the order of the jobs; lost says why."""
+
+    results: dict[str, Json]
+    lost: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Where jobs run.
+
+    workers    processes with one thread each on this computer; 0: none, all in this process, without dask
+    scheduler  address of a running scheduler (tcp://host:8786) instead; its workers need the same ppshw, and for jobs
+               that write files the same folders
+    batch      jobs in one message to a worker: for jobs that take less than some 50 ms
+    """
+
+    workers: int = 2
+    scheduler: str | None = None
+    batch: int = 1
+
+
+def run_jobs(
+    function: Function,
+    jobs: Sequence[Job],
+    journal: Path | None = None,
+    cluster: Cluster | None = None,
+    say: Say | None = None,
+) -> Outcome:
+    """Run what has no result yet; returns all results.
+
+    Raises BadInput when the journal is another study's or dask is missing, PpshwError when the cluster is gone.
+    """
+    cluster = cluster or Cluster()
+    if len({job.key for job in jobs}) < len(jobs):
+        raise BadInput("two jobs of one name, expected each once")
+    results: dict[str, Json] = {}
+    lost: dict[str, str] = {}
+    with Journal.opened(journal, name_of(function)) as kept:
+        for job in jobs:
+            known = kept.result(job.key, job.arguments)
+            if known is not None:
+                results[job.key] = known
+        missing = [job for job in jobs if job.key not in results]
+        begun = len(results)
+        for done, (job, result, trouble) in enumerate(_carried_out(function, missing, cluster), start=1):
+            if result is None:
+                lost[job.key] = trouble
+            else:
+                results[job.key] = kept.add(job.key, job.arguments, result)
+            if say:
+                say(begun + done, len(jobs))
+    order = [job.key for job in jobs]
+    return Outcome({k: results[k] for k in order if k in results}, {k: lost[k] for k in order if k in lost})
+
+
+def name_of(function: Function) -> str:
+    while isinstance(function, partial):
+        function = function.func
+    return f"{function.__module__}:{function.__qualname__}"
+
+
+Finished = tuple[Job, Json | None, str]
+
+
+def _carried_out(function: Function, jobs: Sequence[Job], cluster: Cluster) -> Iterator[Finished]:
+    """Jobs as they are finished, with the result or what went wrong."""
+    if not jobs:
+        return
+    if cluster.workers == 0 and cluster.scheduler is None:
+        for job in jobs:
+            try:  # anything but a complaint of ours is a bug, and here it shall be seen as one
+                yield job, function(**job.arguments), ""
+            except PpshwError as problem:
+                yield job, None, str(problem)
+        return
+    with _client(cluster, len(jobs)) as client:
+        size = cluster.batch
+        suspects: list[Job] = []
+        batches = [list(jobs[k : k + size]) for k in range(0, len(jobs), size)]
+        for batch, outcome in _rolling(client, function, batches, AHEAD):
+            if isinstance(outcome, str):
+                suspects += batch
+            else:
+                yield from ((job, *found) for job, found in zip(batch, outcome, strict=True))
+        for batch, outcome in _rolling(client, function, [[job] for job in suspects], 0):
+            yield (batch[0], None, outcome) if isinstance(outcome, str) else (batch[0], *outcome[0])
+
+
+def _on_worker(function: Function, arguments: Sequence[Json]) -> list[tuple[Json | None, str]]:
+    """A batch, where it runs: each job's result, or its complaint."""
+    out: list[tuple[Json | None, str]] = []
+    for one in arguments:
+        try:
+            out.append((function(**one), ""))
+        except PpshwError as problem:
+            out.append((None, str(problem)))
+        except Exception as bug:  # listed as lost by name; one job's bug is no reason to lose the others
+            out.append((None, f"internal error: {type(bug).__name__}: {bug}"))
+    return out
+
+
+def _rolling(
+    client: Any, function: Function, batches: Iterable[list[Job]], ahead: int
+) -> Iterator[tuple[list[Job], list[tuple[Json | None, str]] | str]]:
+    """Hand out batches, never more than `ahead` per thread at a time (0: one by one), so that neither this process nor
+    the scheduler ever holds a study's million; yields each with its outcomes, or the reason why dask gave it up."""
+    killed = import_module("distributed").KilledWorker
+    waiting = iter(batches)
+    inside: dict[Any, list[Job]] = {}
+    done: queue.Queue[Any] = queue.Queue()
+    most, exhausted = 1, False
+    looked, alive = -1e9, time.monotonic()
+    while inside or not exhausted:
+        now = time.monotonic()
+        if now - looked > LOOK_AROUND_S:
+            threads, looked = sum(client.nthreads().values()), now
+            most = max(1, ahead * threads)
+            alive = now if threads else alive
+            if now - alive > NO_WORKERS_S:
+                raise PpshwError(f"{client.scheduler.address}: no workers for {NO_WORKERS_S:g} s; "
+                                 "the same command again goes on from here")  # fmt: skip
+        while not exhausted and len(inside) < most:
+            batch = next(waiting, None)
+            if batch is None:
+                exhausted = True
+                break
+            future = client.submit(_on_worker, function, [job.arguments for job in batch], pure=False)
+            inside[future] = batch
+            future.add_done_callback(done.put)
+        if not inside:
+            break
+        try:
+            future = done.get(timeout=LOOK_AROUND_S)
+        except queue.Empty:
+            continue
+        batch = inside.pop(future)
+        if future.status == "finished":
+            yield batch, future.result()
+        elif future.status == "error" and isinstance(future.exception(), killed):
+            yield batch, "its workers died, one after the other"
+        elif future.status == "error":
+            raise PpshwError(f"workers cannot run {name_of(function)}: {future.exception()}")
+        else:
+            raise PpshwError(f"{client.scheduler.address}: lost ({future.status}); the same command again goes on")
+
+
+@contextmanager
+def _client(cluster: Cluster, jobs: int) -> Iterator[Any]:
+    """A connection to the scheduler, or a cluster of processes of our own that ends with it."""
+    try:
+        dask, distributed = import_module("dask"), import_module("distributed")
+    except ImportError as missing:
+        raise BadInput(
+            f"module {missing.name} is missing: pip install 'ppshw[studies]', or --workers 0 for one process without it"
+        ) from None
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they share the cores already
+    quiet = {"logging": {"distributed": "critical"}, "distributed.scheduler.allowed-failures": ALLOWED_FAILURES}
+    if cluster.scheduler is not None:
+        try:
+            client = distributed.Client(cluster.scheduler, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as problem:
+            raise BadInput(f"{cluster.scheduler}: no scheduler answers there ({problem})") from None
+        with client:
+            yield client
+        return
+    with (
+        dask.config.set(quiet),
+        distributed.LocalCluster(n_workers=min(cluster.workers, jobs), threads_per_worker=1, processes=True,
+                                 dashboard_address=None, silence_logs="CRITICAL") as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):  # fmt: skip
+        yield client

@@ -1,0 +1,78 @@
+"""What a study has finished, one JSON line per job, so that the same command again goes on where it stopped.
+
+    {"ppshw": "0.1.0", "function": "module:name", "key": …, "arguments": {…}, "result": {…}}
+
+A line is there whole or not at all: what a killed process left of its last line is cut off.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from ppshw import __version__
+from ppshw.errors import BadInput
+from ppshw.recording_file import only_writer
+
+Json = dict[str, Any]
+
+
+class Journal:
+    def __init__(self, path: Path | None, function: str, lines: dict[str, Json], file: IO[str] | None) -> None:
+        self._path, self._function, self._lines, self._file = path, function, lines, file
+
+    @classmethod
+    @contextmanager
+    def opened(cls, path: Path | None, function: str) -> Iterator[Journal]:
+        """For this process alone. None: remembers nothing. Raises BadInput on a file that is no journal."""
+        if path is None:
+            yield cls(None, function, {}, None)
+            return
+        with only_writer(path):
+            lines = _read(path) if path.exists() else {}
+            with path.open("a", encoding="utf-8") as file:
+                yield cls(path, function, lines, file)
+
+    def result(self, key: str, arguments: Json) -> Json | None:
+        """What the job gave when it was done, None: not yet. Raises BadInput when that was another job."""
+        line = self._lines.get(key)
+        if line is None:
+            return None
+        mine = {"ppshw": __version__, "function": self._function, "arguments": json.loads(json.dumps(arguments))}
+        for what, expected in mine.items():
+            if line[what] != expected:
+                raise BadInput(
+                    f"{self._path}: '{key}' was made with {what} {line[what]}, here it is {expected}; "
+                    "expected another folder"
+                )
+        found: Json = line["result"]
+        return found
+
+    def add(self, key: str, arguments: Json, result: Json) -> Json:
+        """Write it down; returns it as it will be read again."""
+        line = {"ppshw": __version__, "function": self._function, "key": key, "arguments": arguments, "result": result}
+        text = json.dumps(line)
+        if self._file is not None:
+            self._file.write(text + "\n")
+            self._file.flush()
+        again: Json = json.loads(text)["result"]
+        return again
+
+
+def _read(path: Path) -> dict[str, Json]:
+    whole = path.read_bytes()
+    end = whole.rfind(b"\n") + 1
+    if end < len(whole):
+        with path.open("r+b") as file:
+            file.truncate(end)
+    out: dict[str, Json] = {}
+    for number, text in enumerate(whole[:end].decode("utf-8").splitlines(), start=1):
+        try:
+            line = json.loads(text)
+            out[line["key"]] = {k: line[k] for k in ("ppshw", "function", "arguments", "result")}
+        except (ValueError, KeyError, TypeError):
+            raise BadInput(f"{path}:{number}: no line of a study's journal, expected another folder") from None
+    return out
