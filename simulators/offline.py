@@ -52,7 +52,23 @@ def simulate_recording_csv(
     block = np.arange(visits) // visits_per_load % len(cases)
     case = rng.integers(0, len(cases), visits) if interleave else block
     applied = [cases[c] for c in case]
+    labels = [f"L{c}" for c in case]
+    return write_visits(plant, out_csv, steps, labels, commanded, applied, rng, names, measurement_noise)
 
+
+def write_visits(
+    plant: Plant,
+    out_csv: str | Path,
+    steps: Sequence[str],
+    labels: Sequence[str],
+    commanded: Array,
+    applied: Sequence[Load | None],
+    rng: np.random.Generator,
+    names: Sequence[str] | None = None,
+    measurement_noise: bool = True,
+) -> Path:
+    """The recording of given visits: step and load labels, commanded joint values (N, n), what lies on the sensor."""
+    visits = len(commanded)
     noise = 1.0 if measurement_noise else 0.0
     q = commanded + noise * ENCODER_SIGMA * rng.normal(size=commanded.shape)
     points = plant.true_points(q, applied, plant.draw_repeatability(visits, rng), names)
@@ -77,7 +93,7 @@ def simulate_recording_csv(
                 [
                     when.replace("+00:00", "Z"),
                     steps[v],
-                    f"L{case[v]}",
+                    labels[v],
                     *(f"{x:.8f}" for x in commanded[v]),
                     *(f"{x:.8f}" for x in q[v]),
                     *approach[v],
