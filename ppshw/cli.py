@@ -303,7 +303,7 @@ def prove(a: argparse.Namespace) -> None:
 
     cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed)
     with Bar() as bar:
-        answer = run_prove(Path(a.out), cases, workers=a.workers, say=bar)
+        answer = run_prove(Path(a.out), cases, workers=a.workers, scheduler=a.scheduler, say=bar)
     _say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
     if len(answer["lost"]) == answer["cases"]:
         raise PpshwError(f"{a.out}: every case was lost, the first: {next(iter(answer['lost'].values()))}")
@@ -564,8 +564,15 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--cases", type=_count, default=108, metavar="N", help="default: 108, the whole deck once")
     p.add_argument("--seed", type=_seed, default=1)
     p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")
-    p.add_argument("--workers", type=_count, default=2, metavar="N", help="processes at a time (default: 2)")
+    _cluster(p)
     return parser
+
+
+def _cluster(p: argparse.ArgumentParser) -> None:
+    """Where the jobs of a study run: ppshw.studies.engine."""
+    p.add_argument("--workers", type=_seed, default=2, metavar="N",
+                   help="processes at a time on this computer (default: 2; 0: this one, without dask)")  # fmt: skip
+    p.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a running dask scheduler instead of processes here")
 
 
 def _reset_faults(p: argparse.ArgumentParser) -> None:

@@ -1,9 +1,9 @@
 """`ppshw prove`: concealed cases are generated, sealed, diagnosed, opened, scored; a table says how often it was right.
 
-Every case runs in a process of its own and leaves its score in a file. A process that dies costs its case and nothing
-else, and the same command again goes on where it stopped. The generator is another program
-(`python -m simulators.concealed`): nothing of it is imported here, and what it sealed is not read before the answer
-lies on disk.
+Cases run on the studies' engine (a local cluster, or a scheduler whose workers see DIR) and each leaves its score in a
+file. A worker that dies costs its case at most, and the same command again goes on where it stopped. The generator is
+another program (`python -m simulators.concealed`): nothing of it is imported here, and what it sealed is not read
+before the answer lies on disk.
 
     DIR/cases/NAME/    machine.yaml, recording.csv, held_out.csv, seal.sha256     what the diagnosis is given
     DIR/seals.txt      the hashes, written before any diagnosis
@@ -15,14 +15,13 @@ lies on disk.
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from ppshw.errors import BadInput, PpshwError
 from ppshw.prove_page import write_page
 from ppshw.prove_score import Json, read_answer, score_case
 from ppshw.prove_table import summarise
+from ppshw.studies.engine import Cluster, Job, run_jobs
 
 # What an answer needs: (case folder, answer folder) → the contract's JSON; it may leave calibration.json there.
 Diagnoser = Callable[[Path, Path], Json]
@@ -102,24 +102,25 @@ def run_prove(
     cases: Sequence[Spec],
     diagnoser: Diagnoser | None = None,
     workers: int = 2,
+    scheduler: str | None = None,
     say: Say = lambda name, done, total: None,
 ) -> Json:
     """Run all cases that have no score yet and write the table; returns what prove.json holds.
 
     diagnoser  `ppshw diagnose` by default; must be importable by name, since it runs in another process
     workers    processes at a time; 0: all in this one, for tests and debuggers
+    scheduler  of a dask cluster instead, whose workers see `out` under the same path
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they share the cores already
+    out = out.resolve()  # a worker's folder is another
     for folder in ("cases", "answers", "sealed", "scores"):
         (out / folder).mkdir(parents=True, exist_ok=True)
     if len({spec.name for spec in cases}) < len(cases):
         raise BadInput(f"{out}: two cases of one seed, expected each once")
-    answers = diagnoser or ppshw_diagnose
-    lost: dict[str, str] = {}
-    for done, (spec, trouble) in enumerate(_finished(out, cases, answers, workers), start=1):
-        if trouble:
-            lost[spec.name] = trouble
-        say("prove", done, len(cases))
+    task = partial(_case, diagnoser=diagnoser or ppshw_diagnose)
+    jobs = [Job(spec.name, {"out": str(out), "spec": asdict(spec)}) for spec in cases]
+    lost = run_jobs(
+        task, jobs, cluster=Cluster(workers, scheduler), say=lambda done, total: say("prove", done, total)
+    ).lost
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
     _write(out / "prove.json", json.dumps(document, indent=1))
@@ -127,50 +128,9 @@ def run_prove(
     return document
 
 
-def _finished(
-    out: Path, cases: Sequence[Spec], diagnoser: Diagnoser, workers: int
-) -> Iterator[tuple[Spec, str]]:
-    """Cases as they are done, with what went wrong, if anything did."""
-    if workers == 0:
-        for spec in cases:
-            yield spec, _guarded(out, spec, diagnoser)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = {pool.submit(_in_a_process, out, spec, diagnoser): spec for spec in cases}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
-
-
-def _in_a_process(out: Path, spec: Spec, diagnoser: Diagnoser) -> str:
-    process = multiprocessing.get_context("spawn").Process(target=_worker, args=(out, spec, diagnoser))
-    process.start()
-    process.join(TIME_LIMIT_S)
-    if process.is_alive():
-        process.kill()
-        process.join()
-        return f"stopped after {TIME_LIMIT_S:g} s"
-    if process.exitcode == 0:
-        return ""
-    trouble = out / "scores" / f"{spec.name}.lost"
-    return trouble.read_text() if trouble.exists() else f"its process ended with {process.exitcode}"
-
-
-def _worker(out: Path, spec: Spec, diagnoser: Diagnoser) -> None:
-    trouble = _guarded(out, spec, diagnoser)
-    note = out / "scores" / f"{spec.name}.lost"
-    note.unlink(missing_ok=True)
-    if trouble:
-        note.write_text(trouble, encoding="utf-8")
-        sys.exit(1)
-
-
-def _guarded(out: Path, spec: Spec, diagnoser: Diagnoser) -> str:
-    """Run one case; a complaint of ours is the case's result, anything else is a bug and shall be seen as one."""
-    try:
-        run_case(out, spec, diagnoser)
-    except PpshwError as problem:
-        return str(problem)
-    return ""
+def _case(out: str, spec: Json, diagnoser: Diagnoser) -> Json:
+    """A case as the engine's job; its scores are files, and so its journal."""
+    return {"score": str(run_case(Path(out), Spec(**spec), diagnoser))}
 
 
 def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
@@ -181,7 +141,7 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
             raise BadInput(f"{score}: the score of another case, expected {asdict(spec)}")
         return score
     case, answers, sealed = (out / part / spec.name for part in ("cases", "answers", "sealed"))
-    made = subprocess.run(spec.command(case, sealed), capture_output=True, text=True, check=False)
+    made = _run(spec.command(case, sealed))
     if made.returncode != 0:
         raise BadInput(
             f"{made.stderr.strip() or f'the generator ended with {made.returncode}'}"
@@ -205,10 +165,18 @@ def ppshw_diagnose(case: Path, answers: Path) -> Json:
         sys.executable, "-m", "ppshw.cli", "diagnose", str(case / "recording.csv"), "--machine",
         str(case / "machine.yaml"), "--json", str(said), "--out", str(answers / "calibration.json"),
     ]  # fmt: skip
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    run = _run(command)
     if run.returncode != 0:
         raise PpshwError(f"diagnose ended with {run.returncode}: {run.stderr.strip()}")
     return read_answer(said)
+
+
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """Another program's run; it must not take longer than a case may."""
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIME_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        raise PpshwError(f"stopped after {TIME_LIMIT_S:g} s") from None
 
 
 def _write(path: Path, text: str) -> None:

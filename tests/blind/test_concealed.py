@@ -396,7 +396,7 @@ def test_a_lost_worker_costs_its_case_alone_and_a_second_run_takes_up_where_it_s
     """The oracle leaves no calibration: it gains nothing, though the true form would."""
     cases = [Spec(1, "pps", "null", 0.0, 120, 120), Spec(2, "pps", "backlash", 1.0, 160, 120)]
     first = run_prove(tmp_path, cases, dies_on_the_first, workers=2)
-    assert first["lost"] == {"1": "its process ended with 9"}
+    assert first["lost"] == {"1": "its workers died, one after the other"}
     done = tmp_path / "scores/2.json"
     before, score = done.stat().st_mtime_ns, json.loads(done.read_text())
     held_out = score["held_out"]
