@@ -78,6 +78,7 @@ class SimulatedDrive(CanopenNode):
         super().__init__(node_id, clock, network, eds, missing)
         self.identity = identity or Identity(serial=1000 + node_id)
         self.starts: list[float] = []  # when each profile-position motion began
+        self.targets: list[float] = []  # and where to, in the motor's absolute counts
         self._absolute, self._home_at, self._lag, self._modes = absolute, home_at, lag_s, modes
         self._motions = [motion.at_rest(start)]  # the one before the last is still needed for the lag
         self._stuck_at: float | None = None
@@ -263,6 +264,7 @@ class SimulatedDrive(CanopenNode):
         self._acknowledged = True
         if command & 0x20 or self.clock.now() >= self._motions[-1].end:
             self._go(target, self.value(0x6081), self.value(0x6083))
+            self.targets.append(target)
             self.starts.append(self.clock.now())
         else:
             self._queued = target

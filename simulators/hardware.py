@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from simulators.chain import Chain
+from simulators.concealed.live import CarriedEffect, conceal
 from simulators.drive import SimulatedDrive, SimulatedDriveRack
 from simulators.force_torque import SimulatedBota, SimulatedGsv8
 from simulators.plant import LivePlant, Load, Plant
@@ -40,6 +41,7 @@ Array = NDArray[np.float64]
 COUNTS_PER_M, COUNTS_PER_RAD = 5.0e6, 8.0e6  # 0.2 µm and 0.125 µrad: linear scales and geared absolute encoders
 STOPPING = 0.5  # deceleration of a quick stop [m/s² or rad/s²]
 ANSWER_S = 1.0  # simulated instruments answer at once; this is for a loaded computer
+TOGETHER_S = 0.2  # starts this near to each other are one motion
 LOGGER_PERIOD_S = 60.0  # how often the thermometers' logger writes its file
 AIR_PRESSURE_HPA, AIR_HUMIDITY_PCT = 1008.0, 45.0
 _serial = itertools.count(1)
@@ -75,6 +77,17 @@ class Wiring:
         return self.sense * self.counts_per_unit * (q - self.offset)
 
 
+@dataclass(frozen=True)
+class ToConceal:
+    """What simulators/concealed/live.py needs to draw an effect: see `conceal` there."""
+
+    seed: int
+    hours: float
+    salt: str
+    size: float = 2.0
+    effect: str | None = None
+
+
 class SimulatedHardware:
     """Use as a context manager.
 
@@ -83,6 +96,7 @@ class SimulatedHardware:
     repeatability  [m] instead of the machine file's
     fitted         reflectors mounted; by default all there is a place for, `treatment` too
     instrument_clock  what paces the sensor's stream, where that must not be hurried machine time
+    concealed      one effect more than the plant's truth, if any: `carried` holds its seal and, for later, what it is
     """
 
     def __init__(
@@ -96,6 +110,7 @@ class SimulatedHardware:
         repeatability: float | None = None,
         fitted: Sequence[str] | None = None,
         instrument_clock: InstrumentClock | None = None,
+        concealed: ToConceal | None = None,
     ) -> None:
         self.machine_file = Path(machine_file).resolve()
         self.folder = Path(folder).resolve()
@@ -110,7 +125,16 @@ class SimulatedHardware:
             parked = min(max(0.0, joint.lower), joint.upper)
             self.rack.add(SimulatedDrive(wire.node, clock, self.rack.network, start=wire.counts(parked)))
         everything = [*self.plant.targets, *self.plant.chain.points]
-        self.live = LivePlant(self.plant, self.joint_values, clock, fitted=everything if fitted is None else fitted)
+        self.carried: CarriedEffect | None = None
+        if concealed is not None:
+            self.carried = conceal(
+                self.plant, concealed.seed, concealed.hours, concealed.salt, _Ways(self), concealed.size,
+                concealed.effect,
+            )  # fmt: skip
+        self.live = LivePlant(
+            self.plant, self.joint_values, clock, fitted=everything if fitted is None else fitted,
+            carries=self.carried,
+        )  # fmt: skip
         world = _Standing(self.live, self.joint_values)
         pace = instrument_clock or clock
         self.tracker = SimulatedTracker(
@@ -212,6 +236,29 @@ class SimulatedHardware:
         fresh.replace(self._thermometer_file)
 
 
+class _Ways:
+    """Where the axes were sent since last asked: (when they left, joint values), axes that start together as one."""
+
+    def __init__(self, hardware: SimulatedHardware) -> None:
+        self._hardware = hardware
+        self._read = [0] * len(hardware.wiring)
+        self._target = hardware.joint_values()
+
+    def __call__(self) -> list[tuple[float, Array]]:
+        orders: list[tuple[float, int, float]] = []
+        for k, wire in enumerate(self._hardware.wiring):
+            drive = self._hardware.rack.drives[wire.node]
+            for start, counts in list(zip(drive.starts, drive.targets, strict=False))[self._read[k] :]:
+                orders.append((start, k, wire.joint_value(counts)))
+                self._read[k] += 1
+        out: list[tuple[float, Array]] = []
+        for start, k, value in sorted(orders):
+            if not out or start - out[-1][0] > TOGETHER_S:
+                out.append((start, self._target.copy()))
+            out[-1][1][k] = self._target[k] = value
+        return out
+
+
 class _Standing:
     """The live plant as the instruments ask it: the same answer, without the work, while nothing has changed."""
 
@@ -239,7 +286,7 @@ class _Standing:
 
     def _refresh(self) -> None:
         load = self._live.load
-        state = (self._joint_values().tobytes(), self._live.fitted)
+        state = (self._joint_values().tobytes(), self._live.fitted, self._live.moment())
         if state != self._state or load is not self._load:
             self._state, self._load, self._targets, self._wrench = state, load, None, None
 

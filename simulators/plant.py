@@ -12,8 +12,8 @@ Known limitations
     elsewhere by as much, an elastic error of the second order (some 10 µm) that the paper neglects too.
   - Quasi-static: no vibration, no settling, no dynamics while moving.
   - Encoders are perfect; backlash, heat, creep and everything else beyond model (17) is absent. To add some, pass
-    the generalized errors they cause as `eps_r`, which need not be random.
-  - Temperatures drift, but nothing grows with them.
+    the generalized errors they cause as `eps_r`, which need not be random, or let the live plant carry an effect.
+  - Temperatures drift, but nothing grows with them unless such an effect is carried.
   - `visible_targets` hides nothing: no line of sight, no acceptance angle of the reflectors.
 """
 
@@ -148,11 +148,24 @@ class Clock(Protocol):
     def now(self) -> float: ...
 
 
+class Carried(Protocol):
+    """One thing more that the live machine does, with a memory of its own: simulators/concealed/live.py."""
+
+    def seen(
+        self, now: float, q: Array, load: Load | None, deviation: Array, names: tuple[str, ...]
+    ) -> dict[str, Array]: ...
+
+    def sensed(self, now: float, q: Array, load: Load | None) -> Array: ...
+
+    def loaded(self, now: float, q: Array, load: Load | None) -> None: ...
+
+
 class LivePlant:
     """The plant now: what the instruments see while the simulated drives move it. Safe to ask from any thread.
 
     joint_source  gives the true joint values (n,) of this moment
     fitted        the reflectors mounted; by default those of the machine file, without the point `treatment`
+    carries       an effect that the machine has beyond its own truth, if any
 
     Every arrival has one random deviation: it stays while the machine stands still and is drawn anew once any joint
     has moved by more than STANDSTILL. Instruments add their own noise.
@@ -165,8 +178,10 @@ class LivePlant:
         clock: Clock,
         rng: np.random.Generator | None = None,
         fitted: Sequence[str] | None = None,
+        carries: Carried | None = None,
     ) -> None:
         self.plant = plant
+        self._carries = carries
         self._joints = joint_source
         self._clock = clock
         self._rng = np.random.default_rng([plant.seed, 2]) if rng is None else rng
@@ -188,6 +203,12 @@ class LivePlant:
     def set_load(self, load: Load | None) -> None:
         with self._lock:
             self._load = load
+            if self._carries is not None:
+                self._carries.loaded(self._clock.now(), np.array(self._joints(), dtype=float), load)
+
+    def moment(self) -> int:
+        """At the same moment and pose everything looks the same. Whole seconds where an effect is carried."""
+        return 0 if self._carries is None else int(self._clock.now())
 
     @property
     def load(self) -> Load | None:
@@ -204,13 +225,18 @@ class LivePlant:
             if self._arrived_at is None or np.max(np.abs(q - self._arrived_at)) > STANDSTILL:
                 self._arrived_at = q
                 self._deviation = self.plant.draw_repeatability(1, self._rng)
+            if self._carries is not None:
+                return self._carries.seen(self._clock.now(), q, self._load, self._deviation, self._fitted)
             seen = self.plant.true_points(q, self._load, self._deviation, self._fitted)
             return {name: xyz[0] for name, xyz in seen.items()}
 
     def wrench(self) -> Array:
         """(6,) what the payload applies to the force sensor now, in the sensor frame [N, N m]."""
         with self._lock:
-            wrench: Array = self.plant.wrench(np.array(self._joints(), dtype=float), self._load)[0]
+            q = np.array(self._joints(), dtype=float)
+            if self._carries is not None:
+                return self._carries.sensed(self._clock.now(), q, self._load)
+            wrench: Array = self.plant.wrench(q, self._load)[0]
             return wrench
 
     def temperatures(self) -> dict[str, float]:
