@@ -420,16 +420,10 @@ def demo(a: argparse.Namespace) -> None:
 # --- arguments -----------------------------------------------------------------------------------------------------
 def _machine(a: argparse.Namespace) -> Any:
     """The machine file of that path, or the one of that name that comes with ppshw."""
-    from ppshw.machine import load_machine
+    from ppshw.machine import load_machine, shipped_machines
 
     named = shipped_machines() / f"{a.machine}.yaml"
     return load_machine(named if not Path(a.machine).exists() and named.is_file() else a.machine)
-
-
-def shipped_machines() -> Path:
-    """The folder of the machine files that come with ppshw: in the checkout, or inside the installed package."""
-    here = Path(__file__).resolve().parent
-    return found if (found := here / "machines").is_dir() else here.parent / "machines"
 
 
 def _positive(text: str) -> float:

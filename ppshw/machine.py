@@ -132,6 +132,12 @@ class Machine:
         return replace(self, targets=targets)
 
 
+def shipped_machines() -> Path:
+    """The folder of the machine files that come with ppshw: in the checkout, or inside the installed package."""
+    here = Path(__file__).resolve().parent
+    return found if (found := here / "machines").is_dir() else here.parent / "machines"
+
+
 def load_machine(path: Path | str) -> Machine:
     """Read and check a machine file. Raises MachineFileError: one line with file, line, key and what was expected."""
     top = read_yaml(path, MachineFileError)
