@@ -25,13 +25,14 @@ from campaigns.plan import Plan, Visit, check_setpoints
 from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading
 from ppshw.errors import BeamLost, HardwareError, PpshwError, RecordingError, Stopped
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.recording import columns_for
+from ppshw.recording import Around, columns_for
 from ppshw.recording_file import RecordingFile
 
 Array = NDArray[np.float64]
-# (wanted setpoints (n,), measured wrench (6,) in the sensor frame, joint values now (n,)) → setpoints to command (n,).
-# The wrench is the one at the pose `now`: the payload's weight turns in the sensor frame as the machine moves.
-SetpointMap = Callable[[Array, Array, Array], Array]
+# (wanted setpoints (n,), measured wrench (6,) in the sensor frame, joint values now (n,), what is around) → setpoints
+# to command (n,). The wrench is the one at the pose `now`: the payload's weight turns in the sensor frame as the
+# machine moves.
+SetpointMap = Callable[[Array, Array, Array, Around], Array]
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 _LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
 
@@ -195,9 +196,9 @@ class _Run:
     def _visit(self, file: RecordingFile, visit: Visit) -> None:
         bench = self._bench
         wanted = np.array(visit.setpoints)
-        commanded = self._corrected(visit, wanted)
-        if visit.via is not None:
+        if visit.via is not None:  # before the correction, which may depend on where the machine comes from
             bench.axes.move(dict(zip(self._joints, visit.via, strict=True)))
+        commanded = self._corrected(visit, wanted)
         report = bench.axes.move(dict(zip(self._joints, commanded.tolist(), strict=True)))
         rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
         if rest > 0:
@@ -227,7 +228,9 @@ class _Run:
             return wanted
         now = self._bench.axes.positions()
         wrench = np.zeros(6) if self._bench.force_sensor is None else self._bench.force_sensor.read().wrench
-        commanded = np.asarray(self._map(wanted, wrench, np.array([now[j] for j in self._joints])), dtype=float)
+        around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures())
+        here = np.array([now[j] for j in self._joints])
+        commanded = np.asarray(self._map(wanted, wrench, here, around), dtype=float)
         check_setpoints(commanded.tolist(), self._plan.machine, f"visit {visit.index} ({visit.step}), corrected")
         return commanded
 

@@ -1,27 +1,34 @@
 """Wanted pose and load → corrected joint setpoints   (paper figure 3).
 
 The real machine, as calibrated, is asked where it would go; Newton's method moves the setpoints until it goes where it
-should. What cannot be honoured is refused with a reason: nothing is clipped.
+should. What cannot be honoured is refused with a reason: nothing is clipped. Of the effects that a diagnosis found
+those that can be known when a setpoint is computed are taken out (terms/at_hand.py), the others named, with the reason.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
-from ppshw.kinematics import frames, joint_jacobian, point_positions, tip_poses
+from ppshw.kinematics import frames, joint_jacobian, point_jacobian, point_positions, tip_poses
 from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.recording import Around, Recording
 from ppshw.terms import Situation
+from ppshw.terms.at_hand import KnownEffects, Moment, Past, Signs, Verdict, approach_of
 from ppshw.transforms import inverse, rotation_vector, transform
 
 Array = NDArray[np.float64]
 # Reached when no residual is larger: micrometres and microradians are far below any repeatability.
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-7
+# An axis that stands this near to where it was sent last leaves from there, whatever its encoder rounds [m, rad].
+AT_REST = 1e-4
+# (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
+EffectErrors = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -40,12 +47,33 @@ class Bounds:
 @dataclass(frozen=True)
 class Setpoints:
     """corrected and nominal (n,) [m, rad]; predicted_error (3,) of the point without correction, base axes [m];
-    std (3,) of the point's position after correction: model's uncertainty [m]."""
+    std (3,) of the point's position after correction: model's uncertainty [m]; approach (n,) the direction that every
+    joint comes from by, as far as known; effects: what a diagnosis had found, taken out or not, and why."""
 
     corrected: Array
     nominal: Array
     predicted_error: Array
     std: Array
+    approach: Signs
+    effects: tuple[Verdict, ...] = ()
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What is known of a move beyond its end and its load. Only effects that a diagnosis found ask for it.
+
+    start       (n,) joint values that the move starts from; None: unknown
+    approach    (n,) direction of each joint's final motion, 0: unknown; None: as `start` has it
+    before      (n,) direction of the motion before, which a joint keeps that does not move
+    loaded_for  how long the load has been on [s]; None: unknown. Asked only where there is no past
+    """
+
+    start: Array | None = None
+    approach: Signs | None = None
+    before: Signs | None = None
+    around: Around = field(default_factory=Around)
+    loaded_for: float | None = None
+    past: Past | None = None
 
 
 def solve_pose(
@@ -54,11 +82,13 @@ def solve_pose(
     start: Array,
     calibration: Calibration | None = None,
     payload: Array | None = None,
+    effects: EffectErrors | None = None,
 ) -> tuple[Array, Array]:
     """Joint values at which the end-effector frame stands at `wanted_tip`, by Newton's method, vectorised.
 
     wanted_tip  (N, 4, 4) in the base;  start (N, n);  payload (N, 6) on the sensor (with a calibration)
     calibration None: the ideal machine
+    effects     errors beyond the calibration's base model, for one pose (N = 1)
     returns     (N, n) joint values, (N, 6) what is left [m, rad]; not converged where that is large
     """
     q = np.array(start, dtype=float)
@@ -69,7 +99,9 @@ def solve_pose(
             tip, chain = tip_poses(machine, q), frames(machine, q)
         else:
             assert payload is not None
-            errors, _ = calibration.model.errors(Situation(q, payload), calibration.theta)
+            errors, wrenches = calibration.model.errors(Situation(q, payload), calibration.theta)
+            if effects is not None:
+                errors = errors + effects(q, errors, wrenches)
             chain = frames(machine, q, errors)
             tip = chain[:, -1] @ machine.tip_in_link
         left[:, :3] = wanted_tip[:, :3, 3] - tip[:, :3, 3]
@@ -136,8 +168,21 @@ class Compensator:
         self.calibration = calibration
         self.machine = calibration.machine
         self.bounds = bounds or Bounds()
+        self.known: KnownEffects | None = None
+        if calibration.effects:
+            self.known = KnownEffects(
+                calibration.effects, calibration.model, calibration.theta, calibration.reference,
+                calibration.measuring_in_base,
+            )  # fmt: skip
 
-    def for_pose(self, wanted: Array, payload: Array, point: str = "tip", near: Array | None = None) -> Setpoints:
+    def for_pose(
+        self,
+        wanted: Array,
+        payload: Array,
+        point: str = "tip",
+        near: Array | None = None,
+        given: Circumstances | None = None,
+    ) -> Setpoints:
         """Setpoints that bring a named point's frame to `wanted`.
 
         wanted   (4, 4) of the point (its axes are the end effector's) in the base frame
@@ -147,25 +192,36 @@ class Compensator:
         offset = transform(np.eye(3), self.machine.point(point))
         wanted_tip = wanted @ inverse(offset)
         nominal = nominal_joints(self.machine, wanted_tip, near)
-        return self._correct(wanted_tip, nominal, payload, point)
+        return self._correct(wanted_tip, nominal, payload, point, given or Circumstances())
 
-    def for_joints(self, wanted: Array, payload: Array, point: str = "tip") -> Setpoints:
+    def for_joints(
+        self, wanted: Array, payload: Array, point: str = "tip", given: Circumstances | None = None
+    ) -> Setpoints:
         """Setpoints that bring the real machine where the ideal one would be at joint values `wanted` (n,)."""
         wanted = np.asarray(wanted, dtype=float)
-        return self._correct(tip_poses(self.machine, wanted)[0], wanted, payload, point)
+        return self._correct(tip_poses(self.machine, wanted)[0], wanted, payload, point, given or Circumstances())
 
-    def setpoint_map(self) -> Callable[[Array, Array, Array], Array]:
-        """For a campaign: (wanted (n,), wrench (6,) as read at (n,)) → corrected (n,)."""
+    def setpoint_map(
+        self, after: Recording | None = None, final_approach: Signs | None = None
+    ) -> Callable[[Array, Array, Array, Around], Array]:
+        """For a campaign: (wanted (n,), wrench (6,) as read at (n,), what is around) → corrected (n,).
 
-        def correct(wanted: Array, wrench: Array, here: Array) -> Array:
-            return self.for_joints(wanted, payload_at(self.machine, wrench, here, wanted)).corrected
+        Keeps the moves that it was asked for as the past of the next one; a map is good for one run.
 
-        return correct
+        after           what the machine did last, for effects that look back; without, they begin with the first visit
+        final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
+        """
+        return _Corrections(self, after, final_approach)
 
-    def _correct(self, wanted_tip: Array, nominal: Array, payload: Array, point: str) -> Setpoints:
+    def _correct(
+        self, wanted_tip: Array, nominal: Array, payload: Array, point: str, given: Circumstances
+    ) -> Setpoints:
         self._refuse_outside(nominal, payload)
         start = nominal[None]
-        q, left = solve_pose(self.machine, wanted_tip[None], start, self.calibration, payload[None])
+        now, past = self._moment(nominal, payload, given), given.past or Past()
+        if self.known is not None and given.past is None:
+            past = self.known.loaded_for(now, given.loaded_for)
+        q, left, now = self._solved(wanted_tip, start, now, past, given)
         # fewer than six joints cannot reach every real pose; what they leave must be within the same tolerance
         if np.abs(left).max() > 1e-5:
             raise CompensationRefused(
@@ -174,12 +230,67 @@ class Compensator:
             )
         self._refuse_correction(q[0], nominal)
         where = self.machine.point(point)[None]
-        situation = Situation(q, payload[None])
-        uncorrected = self.calibration.model.predict(Situation(start, payload[None]), self.calibration.theta, where)
+        uncorrected, _ = self._point(replace(now, q=nominal), past, where)
         ideal = point_positions(self.machine, start, where)
-        design = self.calibration.model.linearise(situation, self.calibration.theta, where).design[0, 0]
-        variance = np.einsum("ip,pq,iq->i", design, self.calibration.covariance, design)
-        return Setpoints(q[0], nominal, (uncorrected - ideal)[0, 0], np.sqrt(np.maximum(variance, 0.0)))
+        design = self.calibration.model.linearise(Situation(q, payload[None]), self.calibration.theta, where).design
+        variance = np.einsum("ip,pq,iq->i", design[0, 0], self.calibration.covariance, design[0, 0])
+        variance += self._point(replace(now, q=q[0]), past, where)[1]
+        verdicts = () if self.known is None else tuple(self.known.verdicts(now, past))
+        error = uncorrected - ideal[0, 0]
+        return Setpoints(q[0], nominal, error, np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts)
+
+    def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
+        if given.approach is not None:
+            approach = given.approach
+        elif given.start is not None:
+            approach = approach_of(given.start, q, given.before)
+        else:
+            approach = np.zeros(len(q), dtype=np.int64) if given.before is None else given.before
+        around = given.around
+        load = around.load if given.past is not None else "now"
+        return Moment(q, approach, payload, around.time, load, around.temperatures)
+
+    def _solved(
+        self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances
+    ) -> tuple[Array, Array, Moment]:
+        """The setpoints (1, n), what they leave (1, 6), and the moment with the approach that they bring about.
+
+        The correction may turn the direction that a joint comes from; then that direction's own correction is taken.
+        Where neither direction agrees with itself (a move of less than the lost motion) the last one tried stands.
+        """
+        payload = now.payload[None]
+        for _ in range(3):
+            q, left = solve_pose(
+                self.machine, wanted_tip[None], start, self.calibration, payload, self._effects(now, past)
+            )
+            if self.known is None or given.start is None or given.approach is not None:
+                break
+            approach = approach_of(given.start, q[0], given.before)
+            if np.array_equal(approach, now.approach):
+                break
+            now = replace(now, approach=approach)
+        return q, left, now
+
+    def _effects(self, now: Moment, past: Past) -> EffectErrors | None:
+        known = self.known
+        if known is None:
+            return None
+        return lambda q, errors, wrenches: known.errors(replace(now, q=q[0]), past, errors, wrenches)
+
+    def _point(self, now: Moment, past: Past, where: Array) -> tuple[Array, Array]:
+        """(3,) where a point of the end effector really is [m], and the variance (3,) that effects bring to it [m²]."""
+        q, model = now.q[None], self.calibration.model
+        base, wrenches = model.errors(Situation(q, now.payload[None]), self.calibration.theta)
+        errors = base if self.known is None else base + self.known.errors(now, past, base, wrenches)
+        chain = frames(self.machine, q, errors)
+        tip = chain[:, -1] @ self.machine.tip_in_link
+        positions = np.einsum("nij,pj->npi", tip[:, :3, :3], where) + tip[:, None, :3, 3]
+        if self.known is None:
+            return np.asarray(positions[0, 0]), np.zeros(3)
+        columns, std = self.known.column_errors(now, past, base, wrenches)
+        jacobian = point_jacobian(chain, positions, errors)[0, 0]
+        moved = np.einsum("ifc,kfc->ki", jacobian, columns) * std[:, None]
+        return np.asarray(positions[0, 0]), np.asarray((moved**2).sum(axis=0))
 
     def _refuse_outside(self, q: Array, payload: Array) -> None:
         margin = self.bounds.range_margin
@@ -214,6 +325,37 @@ class Compensator:
                     f"corrected setpoint of joint '{joint.name}' {corrected[k]:.6g} {joint.unit} is beyond its limits "
                     f"{lower[k]:g} … {upper[k]:g}"
                 )
+
+
+class _Corrections:
+    """Corrected setpoints of one run, each with the moves before it as its past."""
+
+    def __init__(self, compensator: Compensator, after: Recording | None, final_approach: Signs | None) -> None:
+        self._compensator, self._final = compensator, final_approach
+        self._past = Past()
+        if after is not None and compensator.known is not None:
+            self._past = compensator.known.past_of(after)
+
+    def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
+        payload = payload_at(self._compensator.machine, wrench, here, wanted)
+        known = self._compensator.known
+        if known is None:
+            return self._compensator.for_joints(wanted, payload).corrected
+        last = self._past.moments[-1] if self._past.moments else None
+        if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
+            approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
+            last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
+            self._past = known.remember(self._past, last)
+        given = Circumstances(last.q, self._approach(last, wanted), last.approach, around, None, self._past)
+        found = self._compensator.for_joints(wanted, payload, given=given)
+        now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
+        self._past = known.remember(self._past, now)
+        return found.corrected
+
+    def _approach(self, last: Moment, wanted: Array) -> Signs | None:
+        if self._final is None or not self._final.any():
+            return None
+        return np.where(self._final != 0, self._final, approach_of(last.q, wanted, last.approach))
 
 
 def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:

@@ -28,7 +28,7 @@ from ppshw.errors import BadInput
 from ppshw.evaluation import figures
 from ppshw.identification import identify
 from ppshw.machine import load_machine
-from ppshw.recording import Recording, load_recording
+from ppshw.recording import Around, Recording, load_recording
 from ppshw.recording_file import only_writer
 from ppshw.report import build_report
 from ppshw.verification import point_errors, repeatability
@@ -45,6 +45,10 @@ CAMPAIGNS = {
     "verification_nominal": "verification",
     "verification_compensated": "verification",
 }
+# What a demo leaves, this one and the one with a concealed effect (ppshw/demo_concealed.py)
+LEFT = (*CAMPAIGNS, "diagnosis", "verification_base", "verification_extended")
+ANSWERS = ("calibration.json", "extended.json", "diagnosis.json", "seal.sha256", "truth.json", "demo.json",
+           "concealed.json", "report.html")  # fmt: skip
 
 
 def run_demo(
@@ -61,7 +65,7 @@ def run_demo(
         raise BadInput(f"{machine_file}: the demo needs a point named '{POINT}' in tip.points")
     for name in campaigns.values():  # refuse before anything is written
         plan_campaign(load_script(name), machine)
-    with _fresh(out, machine_file) as machine_copy:
+    with fresh_folder(out, machine_file) as machine_copy:
         machine = load_machine(machine_copy)
         clock = SteppedClock()
         with SimulatedHardware(machine_copy, clock, out, seed=seed) as hardware:
@@ -79,7 +83,7 @@ def run_demo(
 
             recording = measure("campaign")
             scatter = repeatability(measure("repeatability"), machine, POINT)
-            before = point_errors(measure("verification_nominal", _as_wanted, "nominal"), machine, POINT)
+            before = point_errors(measure("verification_nominal", as_wanted, "nominal"), machine, POINT)
             identified = time.perf_counter()
             estimate = identify(machine, recording, method, lambda k, n: say("identify", k, n))
             identify_s = time.perf_counter() - identified
@@ -110,7 +114,7 @@ def run_demo(
 
 
 @contextmanager
-def _fresh(out: Path, machine_file: Path) -> Iterator[Path]:
+def fresh_folder(out: Path, machine_file: Path) -> Iterator[Path]:
     """The folder without what an earlier demo left there; other files stay, and nobody else's recording is touched.
 
     Yields the machine file's copy in it; no other demo may use the folder meanwhile.
@@ -118,8 +122,7 @@ def _fresh(out: Path, machine_file: Path) -> Iterator[Path]:
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
-    ours = [*(f"{c}.db" for c in CAMPAIGNS), *(f"{c}.db-journal" for c in CAMPAIGNS), "calibration.json", "demo.json",
-            "report.html"]  # fmt: skip
+    ours = [*(f"{c}.db" for c in LEFT), *(f"{c}.db-journal" for c in LEFT), *ANSWERS]
     there = [name for name in ours if (out / name).exists()]
     if there and not (out / MARK).exists():
         raise BadInput(f"{out}: holds {there[0]}, which no demo made; expected another folder")
@@ -130,6 +133,6 @@ def _fresh(out: Path, machine_file: Path) -> Iterator[Path]:
         yield Path(shutil.copyfile(machine_file, out / "machine.yaml"))
 
 
-def _as_wanted(wanted: Array, wrench: Array, here: Array) -> Array:
+def as_wanted(wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
     return wanted
 

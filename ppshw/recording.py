@@ -10,8 +10,8 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
@@ -46,6 +46,18 @@ class Table:
     def csv_text(self, newline: str = "\n") -> str:
         """The canonical CSV: commas, line feeds, quotes only where a cell needs them."""
         return "".join(",".join(map(_quoted, row)) + newline for row in (self.header, *self.rows))
+
+
+@dataclass(frozen=True)
+class Around:
+    """What surrounds the machine when a setpoint is computed.
+
+    time [s] since 1970, nan: unknown;  load: label of what lies on it;  temperatures: place → °C
+    """
+
+    time: float = math.nan
+    load: str = ""
+    temperatures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

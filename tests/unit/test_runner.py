@@ -18,7 +18,7 @@ from campaigns.script import LoadCase, load_script
 from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WrenchReading
 from ppshw.errors import BeamLost, CampaignError, DriveFault, HardwareError, RecordingError, Stopped
 from ppshw.machine import Machine, load_machine
-from ppshw.recording import load_recording
+from ppshw.recording import Around, load_recording
 from ppshw.recording_file import RecordingFile
 from simulators.clock import SteppedClock
 
@@ -341,7 +341,7 @@ def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path)
 def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:
     seen: list[tuple[Array, Array, Array]] = []
 
-    def shifted(wanted: Array, wrench: Array, now: Array) -> Array:
+    def shifted(wanted: Array, wrench: Array, now: Array, around: Around) -> Array:
         seen.append((wanted, wrench, now))
         return wanted + 1e-3 * np.eye(6)[0]
 
@@ -355,14 +355,14 @@ def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation:
 
 def test_a_correction_beyond_a_limit_moves_nothing(situation: Situation) -> None:
     with pytest.raises(CampaignError, match=r"visit 0 \(a\), corrected: joint lateral at .* outside its limits"):
-        situation.run(setpoint_map=lambda wanted, wrench, now: wanted + 5.0)
+        situation.run(setpoint_map=lambda wanted, wrench, now, around: wanted + 5.0)
     assert situation.axes.moves == []
 
 
 def test_a_compensated_run_is_not_continued_without_its_correction(situation: Situation) -> None:
     situation.axes.trouble = (2, DriveFault("yaw", "tripped"))
     with pytest.raises(DriveFault):
-        situation.run(setpoint_map=lambda wanted, wrench, now: wanted, map_label="calibration 12ab")
+        situation.run(setpoint_map=lambda wanted, wrench, now, around: wanted, map_label="calibration 12ab")
     situation.axes.trouble = None
     with pytest.raises(RecordingError, match=r"another setpoint correction \(calibration , now as planned\)"):
         situation.run()

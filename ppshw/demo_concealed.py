@@ -1,0 +1,169 @@
+"""The machine hides something: found, named, modelled and, where it can be, taken out; then the seal is opened.
+
+The simulated machine carries an effect that a seed picks and nothing prints; the SHA-256 of what it is, salted, is
+written before anything moves. The diagnosis campaign runs through the drivers, the diagnosis says what it finds, and
+the tracker measures the verification poses three times: with nominal setpoints, with those of the base calibration, and
+with those of the calibration that the findings extend. Only then is the truth written down and compared.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from campaigns.operator import AutomaticOperator
+from campaigns.plan import Plan, plan_campaign
+from campaigns.runner import SetpointMap, run_campaign
+from campaigns.script import LoadCase, load_script
+from campaigns.site import load_site, open_bench
+from ppshw.calibration import Calibration
+from ppshw.compensation import Circumstances, Compensator
+from ppshw.demo import POINT, as_wanted, fresh_folder
+from ppshw.diagnosis import diagnose
+from ppshw.diagnosis.modelled import extended
+from ppshw.errors import BadInput
+from ppshw.evaluation import figures
+from ppshw.identification import identify
+from ppshw.machine import load_machine
+from ppshw.recording import Around, Recording, load_recording
+from ppshw.terms.at_hand import Verdict
+from ppshw.verification import point_errors
+from simulators.clock import SteppedClock
+from simulators.hardware import SimulatedHardware, ToConceal
+
+Say = Callable[[str, int, int], None]
+CAMPAIGNS = {"diagnosis": "diagnosis", "verification": "verification"}
+ROWS = ("nominal", "base", "extended")
+
+
+def run_concealed(
+    out: Path,
+    conceal: int,
+    seed: int,
+    machine_file: Path,
+    say: Say,
+    announce: Callable[[str], None] = lambda seal: None,
+    campaigns: Mapping[str, str] = CAMPAIGNS,
+    salt: str | None = None,
+    size: float = 2.0,
+    effect: str | None = None,
+) -> dict[str, Any]:
+    """Run it into the folder `out` and return the answer, which `concealed.json` holds too.
+
+    conceal   seed of the effect;  seed: of the machine
+    announce  is told the seal before anything moves
+    salt      None: from the system's randomness, so that nobody can hash his way through all effects
+    size      of the effect, rms at the reflectors in units of the repeatability's there
+    effect    None: the seed picks one
+    """
+    started = time.perf_counter()
+    machine = load_machine(machine_file)
+    if POINT not in machine.points:
+        raise BadInput(f"{machine_file}: the demo needs a point named '{POINT}' in tip.points")
+    plans = {name: plan_campaign(load_script(script), machine) for name, script in campaigns.items()}
+    hidden = ToConceal(conceal, _hours(plans["diagnosis"]), salt or secrets.token_hex(16), size, effect)
+    with fresh_folder(out, machine_file) as machine_copy:
+        machine = load_machine(machine_copy)
+        clock = SteppedClock()
+        with SimulatedHardware(machine_copy, clock, out, seed=seed, concealed=hidden) as hardware:
+            assert hardware.carried is not None
+            (out / "seal.sha256").write_text(hardware.carried.seal + "\n", encoding="utf-8")
+            announce(hardware.carried.seal)
+            site = load_site(hardware.write_site(out / "site.yaml"))
+
+            def measure(
+                name: str, script: str, setpoint_map: SetpointMap | None = None, label: str = "as planned"
+            ) -> Recording:
+                plan = plan_campaign(load_script(campaigns[script]), machine)
+
+                def put_on(load: LoadCase) -> None:  # takes its time: creep would not show otherwise
+                    clock.sleep(plan.script.load_change_s / 2)
+                    hardware.put_on(load.mass, load.com)
+                    clock.sleep(plan.script.load_change_s / 2)
+
+                with open_bench(site, clock, hardware.ports) as bench:
+                    run_campaign(
+                        plan, bench, out / f"{name}.db", AutomaticOperator(put_on, "simulated"),
+                        setpoint_map=setpoint_map, map_label=label, progress=lambda p: say(name, p.done, p.total),
+                    )  # fmt: skip
+                return load_recording(out / f"{name}.db", machine)
+
+            recording = measure("diagnosis", "diagnosis")
+            base = Calibration.of(identify(machine, recording), recording, "joint")
+            base.save(out / "calibration.json")
+            began = time.perf_counter()
+            found = diagnose(machine, recording, progress=lambda k, n: say("diagnose", k, n))
+            diagnose_s = time.perf_counter() - began
+            (out / "diagnosis.json").write_text(json.dumps(found.answer, indent=1), encoding="utf-8")
+            more = extended(found.space, found.found)
+            more.save(out / "extended.json")
+
+            label, compensator = base.provenance["recording_sha256"], Compensator(more)
+            before = measure("verification_nominal", "verification", as_wanted, "nominal")
+            by_base = measure("verification_base", "verification", Compensator(base).setpoint_map(), label)
+            by_more = measure(
+                "verification_extended", "verification", compensator.setpoint_map(after=by_base), f"{label} extended"
+            )
+            recordings = dict(zip(ROWS, (before, by_base, by_more), strict=True))
+            errors = {row: point_errors(r, machine, POINT) for row, r in recordings.items()}
+            (out / "truth.json").write_bytes(hardware.carried.truth)
+            truth = json.loads(hardware.carried.truth)
+        verdicts = _verdicts(compensator, by_more)
+        answer: dict[str, Any] = {
+            "seal": hardware.carried.seal,
+            "conceal": conceal,
+            "seed": seed,
+            "verdict": found.answer["verdict"],
+            "findings": found.answer["findings"],
+            "unexplained": found.answer["unexplained"],
+            "held_out": found.answer["held_out"],
+            "truth": truth,
+            **_compared(truth, found.answer["findings"]),
+            **{row: figures(e) for row, e in errors.items()},
+            "taken_out": [v.as_dict() for v in verdicts if v.taken_out],
+            "not_compensated": [v.as_dict() for v in verdicts if not v.taken_out],
+            "visits": len(recording),
+            "verification_visits": len(before),
+            "diagnose_seconds": round(diagnose_s, 1),
+            "machine_hours": round(clock.now() / 3600, 1),
+            "seconds": round(time.perf_counter() - started, 1),
+        }
+        (out / "concealed.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+        return answer
+
+
+def _hours(plan: Plan) -> float:
+    """How long a campaign takes on simulated hardware, whose shots take no time."""
+    summary = plan.summary()
+    return (summary.duration_s - plan.script.measure_s * summary.readings) / 3600.0
+
+
+def _compared(truth: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, bool | int | None]:
+    """named: a finding has the effect's name;  joint_right: and the right joint, None where it was not named;
+    false_findings: how many others there are."""
+    mine = [f for f in findings if f["effect"] == truth["effect"]]
+    joints = [truth["joint"], *truth["also"]]
+    return {
+        "named": bool(mine),
+        "joint_right": any(f["joint"] in joints for f in mine) if mine else None,
+        "false_findings": len(findings) - len(mine),
+    }
+
+
+def _verdicts(compensator: Compensator, run: Recording) -> tuple[Verdict, ...]:
+    """What the last setpoints of a run took out, and what not."""
+    if compensator.known is None:
+        return ()
+    past = compensator.known.past_of(run)
+    last = past.moments[-1]
+    around = Around(last.time, last.load, last.temperatures)
+    known = Circumstances(around=around, approach=last.approach, past=past)
+    wanted = np.array([run.covariates[f"wanted_{j}"][-1] for j in run.joint_names])
+    return compensator.for_joints(wanted, last.payload, POINT, known).effects
+

@@ -1,0 +1,268 @@
+"""Effects that a diagnosis found, as far as they can be known when a setpoint is computed.
+
+A recording knows afterwards how every visit came about. A setpoint must be computed before: the direction of approach
+is known from where the move starts, temperatures from thermometers, what has been loaded and driven so far from the
+past; how far a drift has gone since nobody looked is not. What belongs to the instrument is no error of the machine and
+must not be driven into it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.kinematics import frames
+from ppshw.machine import Machine
+from ppshw.model import Model
+from ppshw.recording import Recording
+from ppshw.terms import Situation
+from ppshw.terms.effect import Effect
+from ppshw.terms.shapes import Column, Context, compliances
+
+Array = NDArray[np.float64]
+Signs = NDArray[np.int64]
+STANDSTILL = 1e-7  # a joint that is commanded less than this away stays as it came [m, rad]
+# Functions of the clock alone, and those that need nothing of what went before; all others look back.
+CLOCK = frozenset({"clock", "step", "settling"})
+AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "wave", "load", "load_q", "load_power",
+                     "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
+                     "target_shift"})  # fmt: skip
+FROM_APPROACH = frozenset({"approach", "approach_q", "slipping"})
+GRID = 33  # moments over which a drift is averaged
+SETTLED_H = 24.0  # a load that nobody says the age of is taken to lie there for so long
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A pose at which the machine stood, and what was known there.
+
+    q, approach   (n,) [m, rad]; −1, 0 (unknown), 1
+    payload       (6,) on the sensor, sensor frame   [N, N·m]
+    time          [s] since 1970, nan: unknown;   load: its label;   temperatures: place → °C
+    """
+
+    q: Array
+    approach: Signs
+    payload: Array
+    time: float = math.nan
+    load: str = ""
+    temperatures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Past:
+    """What went before a move, oldest first, with what the base model says of every moment: (M, …) as in Context.
+
+    known  whether it reaches back to the last change of load
+    """
+
+    moments: tuple[Moment, ...] = ()
+    wrenches: Array | None = None
+    chain: Array | None = None
+    compliance: Array | None = None
+    known: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether an effect is taken out of the setpoints, and why not, or how far."""
+
+    effect: Effect
+    taken_out: bool
+    why: str
+
+    def sentence(self) -> str:
+        where = f" of {self.effect.joint}" if self.effect.joint else ""
+        return f"{self.effect.name}{where}{': ' if self.why else ''}{self.why}"
+
+    def as_dict(self) -> dict[str, str | None]:
+        return {"effect": self.effect.name, "joint": self.effect.joint, "why": self.why or None}
+
+
+class KnownEffects:
+    """The effects of one calibration at the moment that a setpoint is computed."""
+
+    def __init__(
+        self, effects: Sequence[Effect], model: Model, theta: Array, reference: Mapping[str, float],
+        measuring_in_base: Array,
+    ) -> None:  # fmt: skip
+        self.effects = tuple(effects)
+        self._model, self._theta = model, theta
+        self._reference, self._measuring = dict(reference), measuring_in_base
+        self._looks_back = any(_looks_back(c) for e in effects for c in e.columns)
+
+    @property
+    def machine(self) -> Machine:
+        return self._model.machine
+
+    # --- what can be known ---------------------------------------------------------------------------------
+    def verdicts(self, now: Moment, past: Past) -> list[Verdict]:
+        return [Verdict(effect, *self._verdict(effect, now, past)) for effect in self.effects]
+
+    def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
+        if any(c.on == "points" for c in effect.columns):
+            return False, "an error of the instrument, not of the machine; its readings keep it"
+        if effect.name == "zero_shift":
+            return True, "as at the recording's end; whether it was homed since cannot be known"
+        if any(_by_clock(c) for c in effect.columns):
+            return False, "how far it has gone since it was measured cannot be known; taken as it was on average"
+        if effect.name == "creep" and not past.known:
+            return False, "when the load was changed is not known; taken as long ago"
+        for column in effect.columns:
+            joint = column.args.get("joint")
+            if column.function in FROM_APPROACH and now.approach[int(joint or 0)] == 0:
+                return False, "from which side the joint comes is not known; taken between the two"
+            place = column.args.get("place")
+            if place and place not in now.temperatures:
+                return False, f"the temperature of {place} is not known; taken as its mean while measured"
+        lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
+        if lag > 0 and not any(m.temperatures for m in past.moments):
+            return True, f"lags by {lag:g} h: taken as steady"
+        return True, ""
+
+    # --- what they do --------------------------------------------------------------------------------------
+    def errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
+        """Generalized errors of all that is a matter of the machine: (1, n+1, 6) [m, rad].
+
+        base, wrenches  (1, n+1, 6) of the base model at `now`
+        What is not known there is taken where the base model has it: on average.
+        """
+        out = np.zeros_like(base)
+        context = self._context(now, past, base, wrenches)
+        for effect in self.effects:
+            for column, value in zip(effect.columns, effect.values, strict=True):
+                self._add(out, effect, column, value, context)
+        return out
+
+    def column_errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
+        """Per coefficient (k, n+1, 6) of its unit, and the coefficients' standard deviations (k,)."""
+        context = self._context(now, past, base, wrenches)
+        columns = [(e, c, s) for e in self.effects for c, s in zip(e.columns, e.std, strict=True)]
+        out = np.zeros((len(columns), *base.shape[1:]))
+        for k, (effect, column, _) in enumerate(columns):
+            self._add(out[k : k + 1], effect, column, 1.0, context)
+        return out, np.array([s for _, _, s in columns])
+
+    def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
+        if column.on == "points":
+            return
+        size = self._now(effect, column, context)
+        if column.on == "frame":
+            out[0, column.frame, column.component] += value * size
+        else:
+            out[0] += value * size
+
+    def _now(self, effect: Effect, column: Column, context: Context) -> Array:
+        """The column's function at the last moment of the context; what only a clock knows at a moment known before:
+        a zero as it was left, anything else on average over the recording."""
+        if not _by_clock(column):
+            return np.asarray(column.value(context)[-1])
+        hours = self._reference.get("hours", 0.0)
+        moments = [hours] if effect.name == "zero_shift" else np.linspace(0.0, hours, GRID).tolist()
+        values = [column.value(replace(context, hours=np.full_like(context.hours, h)))[-1] for h in moments]
+        return np.asarray(np.mean(values, axis=0))
+
+    def _context(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Context:
+        machine, here = self.machine, Situation(now.q[None], now.payload[None])
+        chain = frames(machine, here.q, base)
+        compliance = compliances(self._model, self._theta, here)
+        moments = [*past.moments, now]
+        if past.moments:
+            assert past.wrenches is not None
+            assert past.chain is not None
+            assert past.compliance is not None
+            wrenches = np.concatenate([past.wrenches, wrenches])
+            chain = np.concatenate([past.chain, chain])
+            compliance = np.concatenate([past.compliance, compliance])
+        reference = dict(self._reference)
+        start = reference.get("start", 0.0)
+        time = self._times(moments)
+        empty = np.zeros((len(moments), 0))
+        return Context(
+            machine, self._as_recording(moments, time), empty, wrenches, empty, empty, chain, compliance,
+            self._measuring, (time - start) / 3600.0, reference,
+        )  # fmt: skip
+
+    def _times(self, moments: Sequence[Moment]) -> Array:
+        """Where nobody says the time it is the end of the recording."""
+        end = self._reference.get("start", 0.0) + 3600.0 * self._reference.get("hours", 0.0)
+        now = moments[-1].time if math.isfinite(moments[-1].time) else end
+        return np.array([m.time if math.isfinite(m.time) else now for m in moments])
+
+    def _as_recording(self, moments: Sequence[Moment], time: Array) -> Recording:
+        machine, count = self.machine, len(moments)
+        temperatures = {}
+        for place in {str(c.args["place"]) for e in self.effects for c in e.columns if c.args.get("place")}:
+            mean = self._reference.get(f"mean.{place}", 0.0)
+            now = moments[-1].temperatures.get(place, mean)
+            known = place in moments[-1].temperatures
+            temperatures[place] = np.array([m.temperatures.get(place, now) if known else mean for m in moments])
+        return Recording(
+            machine.joint_names, tuple(machine.targets), time, ("",) * count, tuple(m.load for m in moments),
+            np.array([m.q for m in moments]), np.array([m.q for m in moments]),
+            np.array([m.approach for m in moments]), np.full(count, math.nan), np.array([m.payload for m in moments]),
+            np.full((count, len(machine.targets), 3), math.nan), {}, temperatures, {}, True, True, "setpoints", "",
+        )  # fmt: skip
+
+    # --- the past ------------------------------------------------------------------------------------------
+    def remember(self, past: Past, *moments: Moment) -> Past:
+        """The past with these moments behind it; only the last one where no effect looks further back."""
+        if not moments:
+            return past
+        here = Situation(np.array([m.q for m in moments]), np.array([m.payload for m in moments]))
+        errors, wrenches = self._model.errors(here, self._theta)
+        chain = frames(self.machine, here.q, errors)
+        compliance = compliances(self._model, self._theta, here)
+        changed = any(a.load != b.load for a, b in zip(past.moments[-1:] + moments[:-1], moments, strict=False))
+        if not self._looks_back:
+            return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], past.known or changed)
+        if past.moments:
+            assert past.wrenches is not None
+            assert past.chain is not None
+            assert past.compliance is not None
+            wrenches = np.concatenate([past.wrenches, wrenches])
+            chain = np.concatenate([past.chain, chain])
+            compliance = np.concatenate([past.compliance, compliance])
+        return Past((*past.moments, *moments), wrenches, chain, compliance, past.known or changed)
+
+    def past_of(self, recording: Recording) -> Past:
+        """A recording as the past of what is to come on the same machine."""
+        moments = [
+            Moment(
+                recording.q[k], recording.approach[k], recording.wrench[k], float(recording.time[k]),
+                f"earlier {recording.load[k]}",
+                {p: float(t[k]) for p, t in recording.temperatures.items() if math.isfinite(t[k])},
+            )
+            for k in range(len(recording))
+        ]  # fmt: skip
+        return self.remember(Past(), *moments)
+
+    def loaded_for(self, now: Moment, seconds: float | None) -> Past:
+        """A past that only says for how long the load has been on (None: nobody knows, taken as long)."""
+        age = SETTLED_H * 3600.0 if seconds is None else seconds
+        at = self._times([now])[0]
+        empty = replace(now, payload=np.zeros(6), load="before", time=at - age - 0.1)
+        put_on = replace(now, load="now", time=at - age + 0.1)
+        past = self.remember(Past(), empty, put_on)
+        return replace(past, known=seconds is not None)
+
+
+def _by_clock(column: Column) -> bool:
+    return column.function in CLOCK or bool(column.args.get("time"))
+
+
+def _looks_back(column: Column) -> bool:
+    if column.args.get("place") and float(column.args.get("tau", 0.0)) > 0:
+        return True
+    return column.function not in AT_ONCE and not _by_clock(column)
+
+
+def approach_of(start: Array, end: Array, before: Signs | None = None) -> Signs:
+    """Direction (n,) of a straight move; a joint that stays keeps the one that it had (0 where that is unknown)."""
+    moved = end - start
+    kept = np.zeros(len(moved), dtype=np.int64) if before is None else before
+    return np.where(np.abs(moved) < STANDSTILL, kept, np.sign(moved)).astype(np.int64)
