@@ -200,24 +200,54 @@ def _numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.
 _BETWEEN_NUMBERS = str.maketrans(",;[]()", "      ")
 
 
-def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
-    """What `compensate` and `move` share: the wanted pose, corrected."""
+def _pairs(words: Sequence[str] | None, names: Sequence[str] | None, what: str) -> dict[str, float]:
+    """NAME=NUMBER words; names None: any."""
+    out = {}
+    for word in words or ():
+        name, _, text = word.strip().partition("=")
+        if names is not None and name not in names:
+            raise BadInput(f"{what}: no joint named '{name}', expected one of {', '.join(names)}")
+        out[name] = float(_numbers([text], 1, f"{what} {name}")[0])
+    return out
+
+
+def _circumstances(a: argparse.Namespace, machine: Any) -> Any:
+    """What is known of the move beyond its end and its load: effects that a diagnosis found may depend on it."""
+    from ppshw.compensation import Circumstances
+    from ppshw.recording import Around
+
+    approach = np.zeros(machine.n, dtype=np.int64)
+    for joint, sign in _pairs(a.approach, machine.joint_names, "--approach").items():
+        if sign not in (-1.0, 1.0):
+            raise BadInput(f"--approach {joint}: {sign:g}, expected +1 or -1")
+        approach[machine.joint_names.index(joint)] = int(sign)
+    start = None if a.start is None else _numbers(a.start, machine.n, "--from")
+    around = Around(temperatures=_pairs(a.temperature, None, "--temperature"))
+    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for)
+
+
+def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str, Any], str]:
+    """What `compensate` and `move` share: the wanted pose, corrected.
+
+    given  the circumstances, where the site has been asked; None: what the options say
+    """
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Bounds, Compensator
     from ppshw.transforms import from_xyz_rpy
 
     machine = _machine(a)
     compensator = Compensator(load_calibration(a.calibration, machine), Bounds(a.max_travel, a.max_angle))
+    given = given or _circumstances(a, machine)
     payload = _numbers(a.wrench, 6, "--wrench")
     if a.point not in ("tip", *machine.points, *machine.targets):
         known = ", ".join(["tip", *machine.points, *machine.targets])
         raise BadInput(f"--point: no point named '{a.point}' in {machine.file}, expected one of {known}")
     if a.joints is not None:
-        setpoints = compensator.for_joints(_numbers(a.joints, machine.n, "--joints"), payload, a.point)
+        setpoints = compensator.for_joints(_numbers(a.joints, machine.n, "--joints"), payload, a.point, given)
     else:
         pose = _numbers(a.pose, 6, "--pose")
-        near = None if a.near is None else _numbers(a.near, machine.n, "--near")
-        setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near)
+        near = given.start if a.near is None else _numbers(a.near, machine.n, "--near")
+        setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near, given)
     names = machine.joint_names
     answer = {
         "setpoints": dict(zip(names, setpoints.corrected.tolist(), strict=True)),
@@ -225,7 +255,8 @@ def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
         "point": a.point,
         "predicted_error_mm": (setpoints.predicted_error * 1e3).tolist(),
         "std_mm": (setpoints.std * 1e3).tolist(),
-        "not_compensated": [effect.sentence for effect in compensator.calibration.effects],
+        "compensated": [v.as_dict() for v in setpoints.effects if v.taken_out],
+        "not_compensated": [v.as_dict() for v in setpoints.effects if not v.taken_out],
     }
     lines = [f"{'joint':16}{'nominal':>14}{'setpoint':>14}{'correction':>14}"]
     for k, joint in enumerate(machine.joints):
@@ -234,7 +265,7 @@ def _corrected(a: argparse.Namespace) -> tuple[Any, dict[str, Any], str]:
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; the model is sure to {std:.3f} mm (1 sigma)")
-    lines += [f"not compensated: {sentence}" for sentence in answer["not_compensated"]]
+    lines += [f"{'compensated' if v.taken_out else 'not compensated'}: {v.sentence()}" for v in setpoints.effects]
     return machine, answer, "\n".join(lines)
 
 
@@ -246,20 +277,41 @@ def compensate(a: argparse.Namespace) -> None:
 def move(a: argparse.Namespace) -> None:
     from campaigns.plan import travel_time
     from campaigns.site import load_site, open_bench
+    from ppshw.calibration import load_calibration
 
-    machine, answer, text = _corrected(a)
+    machine, _, _ = _corrected(a)  # refuses before anything is switched on
     site = load_site(a.site)
     if site.machine.sha256 != machine.sha256:
         there = f"'{site.machine.name}' ({site.machine.file})"
         raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
     with open_bench(site) as bench, Bar() as bar:
         bench.start_axes(a.reset_faults)
-        here, there = bench.axes.positions(), answer["setpoints"]
+        here = bench.axes.positions()
+        felt = bench.temperatures() if load_calibration(a.calibration, machine).effects else {}
+        _, answer, text = _corrected(a, _found_there(a, site, here, felt))
+        there = answer["setpoints"]
         longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
         with bar.expect("move", longest / site.speed):
             report = bench.axes.move(there)
     answer["reached"] = dict(report.positions)
     _say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
+
+
+def _found_there(a: argparse.Namespace, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
+    """The circumstances as the site has them; what an option says goes before it."""
+    from dataclasses import replace
+
+    given = _circumstances(a, site.machine)
+    approach = np.where(given.approach != 0, given.approach, _final_approach(site))
+    start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
+    around = replace(given.around, temperatures={**felt, **given.around.temperatures})
+    return replace(given, start=start, approach=approach, around=around)
+
+
+def _final_approach(site: Any) -> Any:
+    """(n,) the direction in which the site has an axis always end its moves, 0 where it does not."""
+    sides = {axis.name: axis.approach_from for axis in site.axes}
+    return np.array([-(sides[j] or 0) for j in site.machine.joint_names])
 
 
 def report(a: argparse.Namespace) -> None:
@@ -348,7 +400,7 @@ def run(a: argparse.Namespace) -> None:
 
     site = load_site(a.site)
     found = plan_campaign(load_script(a.campaign), site.machine)
-    correct, label = _setpoint_map(a, site.machine)
+    correct, label = _setpoint_map(a, site)
     out = _new_file(a.out, a.site, site.machine.file)
     with only_writer(out), open_bench(site) as bench, Bar() as bar:
         result = run_campaign(
@@ -361,15 +413,17 @@ def run(a: argparse.Namespace) -> None:
     _say(a, answer, f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all")
 
 
-def _setpoint_map(a: argparse.Namespace, machine: Any) -> tuple[Callable[..., Any] | None, str]:
+def _setpoint_map(a: argparse.Namespace, site: Any) -> tuple[Callable[..., Any] | None, str]:
     """Compensated setpoints for a whole campaign, when a calibration is given."""
     if a.calibration is None:
         return None, "as planned"
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator
 
-    calibration = load_calibration(a.calibration, machine)
-    return Compensator(calibration).setpoint_map(), calibration.provenance["recording_sha256"]
+    calibration = load_calibration(a.calibration, site.machine)
+    compensator = Compensator(calibration)
+    label = calibration.provenance["recording_sha256"] + (" with effects" if calibration.effects else "")
+    return compensator.setpoint_map(final_approach=_final_approach(site)), label
 
 
 def check(a: argparse.Namespace) -> None:
@@ -398,6 +452,8 @@ def simulate(a: argparse.Namespace) -> None:
 def demo(a: argparse.Namespace) -> None:
     from ppshw.demo import run_demo
 
+    if a.conceal is not None:
+        return _demo_concealed(a)
     with Bar() as bar:
         answer = run_demo(Path(a.out), a.seed, Path(_machine(a).file), a.method, bar)
     scatter = answer["repeatability"]
@@ -414,7 +470,22 @@ def demo(a: argparse.Namespace) -> None:
             f"page              {Path(a.out) / 'report.html'}",
         ]
     )
-    _say(a, answer, text)
+    return _say(a, answer, text)
+
+
+def _demo_concealed(a: argparse.Namespace) -> None:
+    from ppshw.demo_concealed import run_concealed, sentences
+
+    def announce(seal: str) -> None:
+        print(f"seal {seal}", file=sys.stderr, flush=True)
+
+    with Bar() as bar:
+        answer = run_concealed(Path(a.out), a.conceal, a.seed, Path(_machine(a).file), bar, announce)
+    rows = [_figure_row(name, answer[key]) for name, key in _ROWS.items()]
+    _say(a, answer, "\n".join(sentences(answer, [_FIGURE_HEAD, *rows])))
+
+
+_ROWS = {"nominal": "nominal", "base calibration": "base", "with findings": "extended"}
 
 
 # --- arguments -----------------------------------------------------------------------------------------------------
@@ -470,6 +541,8 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--seed", type=_seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--machine", default="pps", metavar="M", help="machine file (default: pps, the positioner)")
     p.add_argument("--method", choices=("joint", "paper"), default="joint", help="identification (default: joint)")
+    p.add_argument("--conceal", type=_seed, metavar="SEED",
+                   help="instead: the machine hides an effect that this seed picks, to be found, named and taken out")
 
     p = add("simulate", simulate, "simulated hardware as a process of its own, on endpoints that open like real ones")
     machine(p)
@@ -538,6 +611,12 @@ def _parser() -> argparse.ArgumentParser:
                        help="most that a prismatic joint may be corrected (default: 0.03)")  # fmt: skip
         p.add_argument("--max-angle", type=_positive, default=0.03, metavar="RAD",
                        help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
+        p.add_argument("--from", dest="start", nargs="+", metavar="Q1 … QN",
+                       help="joint values that the move starts from: they tell the directions of approach")  # fmt: skip
+        p.add_argument("--approach", nargs="+", metavar="JOINT=+1", help="direction of a joint's final motion")
+        p.add_argument("--temperature", nargs="+", metavar="PLACE=21.5",
+                       help="of a place, by the recording's name for it [°C]")  # fmt: skip
+        p.add_argument("--loaded-for", type=_positive, metavar="S", help="how long the load has been on [s]")
         if name == "move":
             p.add_argument("--site", required=True, metavar="S", help="site file")
             _reset_faults(p)

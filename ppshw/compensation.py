@@ -63,7 +63,7 @@ class Circumstances:
     """What is known of a move beyond its end and its load. Only effects that a diagnosis found ask for it.
 
     start       (n,) joint values that the move starts from; None: unknown
-    approach    (n,) direction of each joint's final motion, 0: unknown; None: as `start` has it
+    approach    (n,) direction of each joint's final motion where that is fixed, 0: as `start` has it
     before      (n,) direction of the motion before, which a joint keeps that does not move
     loaded_for  how long the load has been on [s]; None: unknown. Asked only where there is no past
     """
@@ -240,15 +240,9 @@ class Compensator:
         return Setpoints(q[0], nominal, error, np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts)
 
     def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
-        if given.approach is not None:
-            approach = given.approach
-        elif given.start is not None:
-            approach = approach_of(given.start, q, given.before)
-        else:
-            approach = np.zeros(len(q), dtype=np.int64) if given.before is None else given.before
         around = given.around
         load = around.load if given.past is not None else "now"
-        return Moment(q, approach, payload, around.time, load, around.temperatures)
+        return Moment(q, _approach(q, given), payload, around.time, load, around.temperatures)
 
     def _solved(
         self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances
@@ -263,10 +257,8 @@ class Compensator:
             q, left = solve_pose(
                 self.machine, wanted_tip[None], start, self.calibration, payload, self._effects(now, past)
             )
-            if self.known is None or given.start is None or given.approach is not None:
-                break
-            approach = approach_of(given.start, q[0], given.before)
-            if np.array_equal(approach, now.approach):
+            approach = _approach(q[0], given)
+            if self.known is None or np.array_equal(approach, now.approach):
                 break
             now = replace(now, approach=approach)
         return q, left, now
@@ -327,6 +319,13 @@ class Compensator:
                 )
 
 
+def _approach(end: Array, given: Circumstances) -> Signs:
+    """(n,) directions that a move to `end` brings about; 0 where nothing says so."""
+    before = np.zeros(len(end), dtype=np.int64) if given.before is None else given.before
+    found = before if given.start is None else approach_of(given.start, end, before)
+    return found if given.approach is None else np.where(given.approach != 0, given.approach, found)
+
+
 class _Corrections:
     """Corrected setpoints of one run, each with the moves before it as its past."""
 
@@ -346,16 +345,11 @@ class _Corrections:
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
             last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
             self._past = known.remember(self._past, last)
-        given = Circumstances(last.q, self._approach(last, wanted), last.approach, around, None, self._past)
+        given = Circumstances(last.q, self._final, last.approach, around, None, self._past)
         found = self._compensator.for_joints(wanted, payload, given=given)
         now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
         self._past = known.remember(self._past, now)
         return found.corrected
-
-    def _approach(self, last: Moment, wanted: Array) -> Signs | None:
-        if self._final is None or not self._final.any():
-            return None
-        return np.where(self._final != 0, self._final, approach_of(last.q, wanted, last.approach))
 
 
 def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import secrets
+import textwrap
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -39,6 +40,7 @@ from simulators.hardware import SimulatedHardware, ToConceal
 
 Say = Callable[[str, int, int], None]
 CAMPAIGNS = {"diagnosis": "diagnosis", "verification": "verification"}
+WIDTH = 80
 ROWS = ("nominal", "base", "extended")
 
 
@@ -167,3 +169,34 @@ def _verdicts(compensator: Compensator, run: Recording) -> tuple[Verdict, ...]:
     wanted = np.array([run.covariates[f"wanted_{j}"][-1] for j in run.joint_names])
     return compensator.for_joints(wanted, last.payload, POINT, known).effects
 
+
+
+def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
+    """The answer in words, lines of at most 80 letters.
+
+    figures_table  head and rows of the figures at the treatment point
+    """
+    truth, found = answer["truth"], answer["findings"]
+    lines = ["found"]
+    lines += [f"{f['sentence']} [weight {f['weight']:.2f}, p {f['p_value']:.1g}]" for f in found]
+    if answer["unexplained"] is not None:
+        lines.append(f"structure over {' and '.join(answer['unexplained']['covariates'])} that nothing known explains")
+    if len(lines) == 1:
+        lines.append("nothing")
+    where = f" of {truth['joint']}" if truth["joint"] else f" of {truth['target']}" if truth["target"] else ""
+    values = ", ".join(f"{name} {value:.4g}" for name, value in truth["parameters"].items())
+    lines += ["the seal is opened", f"{truth['effect']}{where} ({truth['form']}): {values}; "
+              f"{truth['rms_mm']:.3f} mm rms at the reflectors where the repeatability makes "
+              f"{truth['repeatability_rms_mm']:.3f}"]  # fmt: skip
+    yes = {True: "yes", False: "no", None: "-"}
+    lines.append(f"effect named: {yes[answer['named']]}   joint right: {yes[answer['joint_right']]}   "
+                 f"other findings: {answer['false_findings']}")  # fmt: skip
+    for what, verdicts in (("compensated", answer["taken_out"]), ("not compensated", answer["not_compensated"])):
+        for v in verdicts:
+            joint = f" of {v['joint']}" if v["joint"] else ""
+            why = f": {v['why']}" if v["why"] else ""
+            lines.append(f"{what}: {v['effect']}{joint}{why}")
+    seen = f"at the treatment point, {answer['verification_visits']} configurations that no fit has seen [mm]"
+    head = [f"seal {answer['seal']}"]
+    wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
+    return [*head, *wrapped, seen, *figures_table]
