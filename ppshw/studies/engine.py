@@ -48,10 +48,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """results, lost: by key, in the order of the jobs; lost says why."""
+    """results, lost: by key, in the order of the jobs; lost says why. seconds: what each result took where it ran."""
 
     results: dict[str, Json]
     lost: dict[str, str]
+    seconds: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -85,22 +86,28 @@ def run_jobs(
         raise BadInput("two jobs of one name, expected each once")
     results: dict[str, Json] = {}
     lost: dict[str, str] = {}
+    seconds: dict[str, float] = {}
     with Journal.opened(journal, name_of(function)) as kept:
         for job in jobs:
             known = kept.result(job.key, job.arguments)
             if known is not None:
-                results[job.key] = known
+                results[job.key], seconds[job.key] = known
         missing = [job for job in jobs if job.key not in results]
         begun = len(results)
-        for done, (job, result, trouble) in enumerate(_carried_out(function, missing, cluster), start=1):
-            if result is None:
-                lost[job.key] = trouble
+        for done, (job, answer) in enumerate(_carried_out(function, missing, cluster), start=1):
+            if answer.result is None:
+                lost[job.key] = answer.trouble
             else:
-                results[job.key] = kept.add(job.key, job.arguments, result)
+                results[job.key] = kept.add(job.key, job.arguments, answer.result, answer.seconds)
+                seconds[job.key] = answer.seconds
             if say:
                 say(begun + done, len(jobs))
     order = [job.key for job in jobs]
-    return Outcome({k: results[k] for k in order if k in results}, {k: lost[k] for k in order if k in lost})
+    return Outcome(
+        {k: results[k] for k in order if k in results},
+        {k: lost[k] for k in order if k in lost},
+        {k: seconds[k] for k in order if k in results},
+    )
 
 
 def name_of(function: Function) -> str:
@@ -109,49 +116,59 @@ def name_of(function: Function) -> str:
     return f"{function.__module__}:{function.__qualname__}"
 
 
-Finished = tuple[Job, Json | None, str]
+@dataclass(frozen=True)
+class Answer:
+    """A job's result, or None and what went wrong; and the seconds it took."""
+
+    result: Json | None
+    trouble: str
+    seconds: float
 
 
-def _carried_out(function: Function, jobs: Sequence[Job], cluster: Cluster) -> Iterator[Finished]:
-    """Jobs as they are finished, with the result or what went wrong."""
+def _carried_out(function: Function, jobs: Sequence[Job], cluster: Cluster) -> Iterator[tuple[Job, Answer]]:
+    """Jobs as they are finished."""
     if not jobs:
         return
     if cluster.workers == 0 and cluster.scheduler is None:
         for job in jobs:
-            try:  # anything but a complaint of ours is a bug, and here it shall be seen as one
-                yield job, function(**job.arguments), ""
-            except PpshwError as problem:
-                yield job, None, str(problem)
+            yield job, _answer(function, job.arguments)
         return
     with _client(cluster, len(jobs)) as client:
         size = cluster.batch
         suspects: list[Job] = []
         batches = [list(jobs[k : k + size]) for k in range(0, len(jobs), size)]
-        for batch, outcome in _rolling(client, function, batches, AHEAD):
-            if isinstance(outcome, str):
+        for batch, answers in _rolling(client, function, batches, AHEAD):
+            if isinstance(answers, str):
                 suspects += batch
             else:
-                yield from ((job, *found) for job, found in zip(batch, outcome, strict=True))
-        for batch, outcome in _rolling(client, function, [[job] for job in suspects], 0):
-            yield (batch[0], None, outcome) if isinstance(outcome, str) else (batch[0], *outcome[0])
+                yield from zip(batch, answers, strict=True)
+        for batch, answers in _rolling(client, function, [[job] for job in suspects], 0):
+            yield batch[0], Answer(None, answers, 0.0) if isinstance(answers, str) else answers[0]
 
 
-def _on_worker(function: Function, arguments: Sequence[Json]) -> list[tuple[Json | None, str]]:
-    """A batch, where it runs: each job's result, or its complaint."""
-    out: list[tuple[Json | None, str]] = []
-    for one in arguments:
+def _answer(function: Function, arguments: Json) -> Answer:
+    """Anything but a complaint of ours is a bug."""
+    began = time.perf_counter()
+    try:
+        result = function(**arguments)
+    except PpshwError as problem:
+        return Answer(None, str(problem), time.perf_counter() - began)
+    return Answer(result, "", round(time.perf_counter() - began, 3))
+
+
+def _on_worker(function: Function, batch: Sequence[Json]) -> list[Answer]:
+    out: list[Answer] = []
+    for arguments in batch:
         try:
-            out.append((function(**one), ""))
-        except PpshwError as problem:
-            out.append((None, str(problem)))
+            out.append(_answer(function, arguments))
         except Exception as bug:  # listed as lost by name; one job's bug is no reason to lose the others
-            out.append((None, f"internal error: {type(bug).__name__}: {bug}"))
+            out.append(Answer(None, f"internal error: {type(bug).__name__}: {bug}", 0.0))
     return out
 
 
 def _rolling(
     client: Any, function: Function, batches: Iterable[list[Job]], ahead: int
-) -> Iterator[tuple[list[Job], list[tuple[Json | None, str]] | str]]:
+) -> Iterator[tuple[list[Job], list[Answer] | str]]:
     """Hand out batches, never more than `ahead` per thread at a time (0: one by one), so that neither this process nor
     the scheduler ever holds a study's million; yields each with its outcomes, or the reason why dask gave it up."""
     killed = import_module("distributed").KilledWorker

@@ -1,6 +1,6 @@
 """What a study has finished, one JSON line per job, so that the same command again goes on where it stopped.
 
-    {"ppshw": "0.1.0", "function": "module:name", "key": …, "arguments": {…}, "result": {…}}
+    {"ppshw": "0.1.0", "function": "module:name", "key": …, "arguments": {…}, "seconds": 1.2, "result": {…}}
 
 A line is there whole or not at all: what a killed process left of its last line is cut off.
 """
@@ -36,8 +36,11 @@ class Journal:
             with path.open("a", encoding="utf-8") as file:
                 yield cls(path, function, lines, file)
 
-    def result(self, key: str, arguments: Json) -> Json | None:
-        """What the job gave when it was done, None: not yet. Raises BadInput when that was another job."""
+    def result(self, key: str, arguments: Json) -> tuple[Json, float] | None:
+        """What the job gave when it was done, and in how many seconds; None: not yet.
+
+        Raises BadInput when that was another job.
+        """
         line = self._lines.get(key)
         if line is None:
             return None
@@ -48,12 +51,14 @@ class Journal:
                     f"{self._path}: '{key}' was made with {what} {line[what]}, here it is {expected}; "
                     "expected another folder"
                 )
-        found: Json = line["result"]
-        return found
+        return line["result"], line["seconds"]
 
-    def add(self, key: str, arguments: Json, result: Json) -> Json:
+    def add(self, key: str, arguments: Json, result: Json, seconds: float) -> Json:
         """Write it down; returns it as it will be read again."""
-        line = {"ppshw": __version__, "function": self._function, "key": key, "arguments": arguments, "result": result}
+        line = {
+            "ppshw": __version__, "function": self._function, "key": key, "arguments": arguments,
+            "seconds": seconds, "result": result,
+        }  # fmt: skip
         text = json.dumps(line)
         if self._file is not None:
             self._file.write(text + "\n")
@@ -72,7 +77,7 @@ def _read(path: Path) -> dict[str, Json]:
     for number, text in enumerate(whole[:end].decode("utf-8").splitlines(), start=1):
         try:
             line = json.loads(text)
-            out[line["key"]] = {k: line[k] for k in ("ppshw", "function", "arguments", "result")}
+            out[line["key"]] = {k: line[k] for k in ("ppshw", "function", "arguments", "seconds", "result")}
         except (ValueError, KeyError, TypeError):
             raise BadInput(f"{path}:{number}: no line of a study's journal, expected another folder") from None
     return out

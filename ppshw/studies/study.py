@@ -1,0 +1,97 @@
+"""What a study is: jobs for the engine, a summary of their results, a picture; and the files that it leaves."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ppshw import __version__
+from ppshw.errors import BadInput, PpshwError
+from ppshw.studies.engine import Cluster, Function, Job, Outcome, Say, run_jobs
+
+Json = dict[str, Any]
+Rows = list[dict[str, Any]]
+# Machines of the studies have seeds from here on; nothing was tuned on them.
+FIRST_SEED = 4000
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study as a command.
+
+    seeds      how many machines by default
+    jobs       (seeds, short) → jobs
+    summarise  outcome → the table's rows, all with the same columns, and anything else for the JSON
+    draw       outcome, rows, file → a picture there
+    remarks    what a reader of the table must know
+    """
+
+    name: str
+    about: str
+    seeds: int
+    function: Function
+    jobs: Callable[[Sequence[int], bool], list[Job]]
+    summarise: Callable[[Outcome], tuple[Rows, Json]]
+    draw: Callable[[Outcome, Rows, Path], None]
+    remarks: str
+
+
+def run_study(
+    study: Study, out: Path, seeds: int | None = None, short: bool = False, cluster: Cluster | None = None,
+    say: Say | None = None,
+) -> Json:  # fmt: skip
+    """Run what is missing and write OUT/NAME.jsonl (as it goes), .json, .csv, .md and .png; returns what .json holds.
+
+    Raises PpshwError when every job was lost.
+    """
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
+    out.mkdir(parents=True, exist_ok=True)
+    count = seeds if seeds is not None else (1 if short else study.seeds)
+    jobs = study.jobs(range(FIRST_SEED, FIRST_SEED + count), short)
+    outcome = run_jobs(study.function, jobs, out / f"{study.name}.jsonl", cluster, say)
+    if not outcome.results:
+        raise PpshwError(f"{out}: every job was lost, the first: {next(iter(outcome.lost.values()))}")
+    rows, more = study.summarise(outcome)
+    times = list(outcome.seconds.values())
+    document = {
+        "study": study.name, "ppshw": __version__, "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
+        "seconds_per_job": round(sum(times) / len(times), 3), "lost": outcome.lost, "rows": rows, **more,
+    }  # fmt: skip
+    (out / f"{study.name}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    with (out / f"{study.name}.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+    (out / f"{study.name}.md").write_text(page(study, document), encoding="utf-8")
+    study.draw(outcome, rows, out / f"{study.name}.png")
+    return document
+
+
+def page(study: Study, document: Json) -> str:
+    last = document["first_seed"] + document["machines"] - 1
+    lines = [
+        f"# {study.name}", "", f"{study.about[0].upper()}{study.about[1:]}.", "",
+        f"{document['machines']} machines, seeds {document['first_seed']} to {last}; {document['jobs']} jobs of "
+        f"{document['seconds_per_job']:.2f} s; {len(document['lost'])} lost. {study.remarks}", "",
+        table(document["rows"]), "", f"![{study.name}]({study.name}.png)", "",
+    ]  # fmt: skip
+    lines += [f"- lost: {key}: {why}" for key, why in document["lost"].items()]
+    return "\n".join(lines)
+
+
+def table(rows: Rows) -> str:
+    """Markdown; three decimals, nothing where there is nothing."""
+    lines = [list(rows[0]), ["---"] * len(rows[0])]
+    lines += [[_cell(value) for value in row.values()] for row in rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
