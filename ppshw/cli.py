@@ -361,6 +361,20 @@ def prove(a: argparse.Namespace) -> None:
         raise PpshwError(f"{a.out}: every case was lost, the first: {next(iter(answer['lost'].values()))}")
 
 
+def study(a: argparse.Namespace) -> None:
+    from ppshw.studies.catalogue import STUDIES
+    from ppshw.studies.engine import Cluster
+    from ppshw.studies.study import run_study, table
+
+    with Bar() as bar:
+        answer = run_study(
+            STUDIES[a.study], Path(a.out), a.seeds, a.short, Cluster(a.workers, a.scheduler),
+            lambda done, total: bar(a.study, done, total),
+        )  # fmt: skip
+    lost = [f"lost: {key}: {why}" for key, why in answer["lost"].items()]
+    _say(a, answer, "\n".join([table(answer["rows"]), *lost, f"page {Path(a.out) / a.study}.md"]))
+
+
 # --- the bench side ----------------------------------------------------------------------------------------------
 def plan(a: argparse.Namespace) -> None:
     from campaigns.plan import plan_campaign
@@ -638,7 +652,18 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--seed", type=_seed, default=1)
     p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")
     _cluster(p)
+
+    p = add("study", study, "the paper's studies over many simulated machines: a table and a picture each")
+    p.add_argument("study", metavar="STUDY", choices=_STUDIES, help=", ".join(_STUDIES))
+    p.add_argument("--out", required=True, metavar="DIR", help="goes on with what an earlier call left there")
+    p.add_argument("--seeds", type=_count, metavar="N", help="machines (default: 20; residuals: 100; with --short: 1)")
+    p.add_argument("--short", action="store_true", help="small and quick, to see that it runs")
+    _cluster(p)
     return parser
+
+
+# Names of ppshw.studies.catalogue, which takes long to import.
+_STUDIES = ("accuracy-repeatability", "accuracy-visits", "residuals", "directions")
 
 
 def _cluster(p: argparse.ArgumentParser) -> None:
