@@ -32,6 +32,7 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
                      "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
                      "target_shift"})  # fmt: skip
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping"})
+SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 SETTLED_H = 24.0  # a load that nobody says the age of is taken to lie there for so long
 
@@ -93,7 +94,10 @@ class KnownEffects:
         self.effects = tuple(effects)
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
-        self._looks_back = any(_looks_back(c) for e in effects for c in e.columns)
+        columns = [c for e in effects for c in e.columns]
+        self._looks_back = any(_looks_back(c) for c in columns)
+        self._bends = any(c.on == "frames" for c in columns)  # only those ask for the links' compliances
+        self._compliance_at: tuple[Array, Array] | None = None
 
     @property
     def machine(self) -> Machine:
@@ -169,7 +173,7 @@ class KnownEffects:
     def _context(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Context:
         machine, here = self.machine, Situation(now.q[None], now.payload[None])
         chain = frames(machine, here.q, base)
-        compliance = compliances(self._model, self._theta, here)
+        compliance = self._compliance(here)
         moments = [*past.moments, now]
         if past.moments:
             assert past.wrenches is not None
@@ -186,6 +190,17 @@ class KnownEffects:
             machine, self._as_recording(moments, time), empty, wrenches, empty, empty, chain, compliance,
             self._measuring, (time - start) / 3600.0, reference,
         )  # fmt: skip
+
+    def _compliance(self, here: Situation) -> Array:
+        """(M, n+1, 6, 6) of every frame. It changes by less than a hundredth within SAME: a correction in hand is
+        computed with that of where it began."""
+        if not self._bends:
+            return np.zeros((len(here), self.machine.n + 1, 6, 6))
+        if len(here) > 1:
+            return compliances(self._model, self._theta, here)
+        if self._compliance_at is None or np.abs(self._compliance_at[0] - here.q).max() > SAME:
+            self._compliance_at = here.q, compliances(self._model, self._theta, here)
+        return self._compliance_at[1]
 
     def _times(self, moments: Sequence[Moment]) -> Array:
         """Where nobody says the time it is the end of the recording."""
@@ -216,7 +231,7 @@ class KnownEffects:
         here = Situation(np.array([m.q for m in moments]), np.array([m.payload for m in moments]))
         errors, wrenches = self._model.errors(here, self._theta)
         chain = frames(self.machine, here.q, errors)
-        compliance = compliances(self._model, self._theta, here)
+        compliance = self._compliance(here)
         changed = any(a.load != b.load for a, b in zip(past.moments[-1:] + moments[:-1], moments, strict=False))
         if not self._looks_back:
             return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], past.known or changed)

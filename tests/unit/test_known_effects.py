@@ -1,0 +1,222 @@
+"""What a diagnosis found, in the setpoints: taken out where it can be known beforehand, said where it cannot.
+
+The effects are written down by hand, the machine that has them is the plant, which shares no code with the model.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ppshw.calibration import Calibration
+from ppshw.cli import main
+from ppshw.compensation import Circumstances, Compensator, Setpoints
+from ppshw.identification import identify
+from ppshw.machine import load_machine
+from ppshw.recording import Around, load_recording
+from ppshw.terms.effect import Effect
+from ppshw.terms.shapes import Column
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Load, Plant
+
+Array = NDArray[np.float64]
+PPS = Path(__file__).parents[2] / "machines/pps.yaml"
+POSE = np.array([0.1, -0.05, 0.5, 0.3, 0.01, -0.01])
+UP = np.array([0, 0.1, 0, 0, 0, 0])
+BELOW, ABOVE = POSE - UP, POSE + UP
+LOAD = Load(100.0, np.array([0.05, 0.1, 0.3]))
+VERTICAL, TY = 1, 1
+GAP = 3e-4
+HOURS = 8.0
+
+
+@cache
+def base() -> tuple[Plant, Calibration]:
+    """A machine that always arrives at the same place, measured without noise."""
+    plant, machine = Plant.from_file(PPS, seed=11, repeatability=0.0), load_machine(PPS)
+    with TemporaryDirectory() as folder:
+        csv = simulate_recording_csv(
+            plant, Path(folder) / "r.csv", 260, np.random.default_rng(1), "mixed", visits_per_load=5,
+            measurement_noise=False,
+        )  # fmt: skip
+        recording = load_recording(csv, machine)
+    return plant, Calibration.of(identify(machine, recording), recording, "joint")
+
+
+def knowing(name: str, joint: str | None, column: Column, value: float) -> Compensator:
+    effect = Effect(name, joint, (column,), (value,), (0.05 * abs(value),), "by hand")
+    reference = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}
+    return Compensator(replace(base()[1], effects=(effect,), reference=reference))
+
+
+def lost_motion() -> Compensator:
+    """vertical stays behind by half the gap on the side that it comes from."""
+    column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    return knowing("backlash", "vertical", column, -GAP / 2)
+
+
+def miss(setpoints: Array, eps: float = 0.0, joint: int = VERTICAL, component: int = TY) -> Array:
+    """How far the plant's treatment point is from the ideal one's at POSE, the joint displaced by eps [m]."""
+    plant, _ = base()
+    wrong = np.zeros((1, 6, 6))
+    wrong[0, joint, component] = eps
+    real = plant.true_points(setpoints, LOAD, wrong, ["treatment"])["treatment"][0]
+    return np.asarray(real - plant.nominal_points(POSE, ["treatment"])["treatment"][0])
+
+
+def payload() -> Array:
+    return base()[0].wrench(POSE, LOAD)[0]
+
+
+def asked(compensator: Compensator, **known: object) -> Setpoints:
+    return compensator.for_joints(POSE, payload(), "treatment", Circumstances(**known))  # type: ignore[arg-type]
+
+
+# --- what can be known ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("start", "side"), [(BELOW, 1), (ABOVE, -1)])
+def test_lost_motion_is_taken_out_by_the_direction_of_approach(start: Array, side: int) -> None:
+    found = asked(lost_motion(), start=start)
+    assert found.approach[VERTICAL] == side
+    assert np.linalg.norm(miss(found.corrected, -side * GAP / 2)) < 5e-5
+    plain = asked(Compensator(base()[1]), start=start)
+    assert np.linalg.norm(miss(plain.corrected, -side * GAP / 2)) > 1e-4
+    assert [(v.taken_out, v.sentence()) for v in found.effects] == [(True, "backlash of vertical")]
+
+
+def test_the_direction_may_be_given_without_the_start() -> None:
+    both = [asked(lost_motion(), approach=np.array([0, s, 0, 0, 0, 0])) for s in (-1, 1)]
+    assert both[1].corrected[VERTICAL] - both[0].corrected[VERTICAL] == pytest.approx(GAP, rel=1e-3)
+    # the error that the plant would have without correction is predicted with the gap in it
+    change = both[1].predicted_error - both[0].predicted_error
+    np.testing.assert_allclose(change, [0, -GAP, 0], atol=0.02 * GAP)
+    assert np.linalg.norm(both[0].std) > np.linalg.norm(asked(Compensator(base()[1])).std)
+
+
+def test_where_the_direction_is_unknown_the_middle_is_taken_and_said() -> None:
+    found = asked(lost_motion())
+    np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
+    assert found.effects[0].taken_out is False
+    assert "from which side the joint comes is not known" in found.effects[0].why
+
+
+def test_a_campaign_knows_where_every_move_starts() -> None:
+    """Up, up, down, and once more without moving: the joint keeps the side that it came from."""
+    move = lost_motion().setpoint_map()
+    around = Around(1.7e9, "box")
+    poses = [BELOW, POSE, ABOVE, POSE]
+    here = BELOW - UP
+    said = []
+    for wanted in poses:
+        here = move(wanted, payload(), here, around)
+        said.append(here)
+    assert said[1][VERTICAL] - said[3][VERTICAL] == pytest.approx(GAP, rel=1e-3)
+    assert np.linalg.norm(miss(said[1], -GAP / 2)) < 5e-5
+    assert np.linalg.norm(miss(said[3], GAP / 2)) < 5e-5
+    again = move(POSE, payload(), here, around)
+    np.testing.assert_allclose(again, said[3], atol=1e-6)  # the reading of the load is of another pose
+
+
+def test_an_axis_that_always_ends_its_moves_upwards_has_one_direction() -> None:
+    move = lost_motion().setpoint_map(final_approach=np.array([0, 1, 0, 0, 0, 0]))
+    around = Around(1.7e9, "box")
+    from_above = move(POSE, payload(), ABOVE, around)
+    assert np.linalg.norm(miss(from_above, -GAP / 2)) < 5e-5
+
+
+def test_growth_is_taken_out_by_the_temperature_of_its_place() -> None:
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    compensator = knowing("thermal_growth", "vertical", column, 8e-5)
+    warm = asked(compensator, around=Around(temperatures={"rail": 24.5, "air": 20.0}))
+    assert np.linalg.norm(miss(warm.corrected, 8e-5 * 2.5)) < 5e-5
+    assert warm.effects[0].taken_out
+    unknown = asked(compensator, around=Around(temperatures={"air": 20.0}))
+    np.testing.assert_allclose(unknown.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
+    assert unknown.effects[0].why == "the temperature of rail is not known; taken as its mean while measured"
+
+
+def test_growth_that_lags_follows_what_the_thermometers_said_before() -> None:
+    """After a jump of 2 K a lag of an hour has taken in 1 − 1/e of it an hour later (readings every two minutes)."""
+    column = Column("frame", "temperature", {"place": "rail", "tau": 1.0}, VERTICAL + 1, TY)
+    move = knowing("thermal_growth", "vertical", column, 1e-4).setpoint_map()
+    here, said = BELOW, []
+    for k in range(32):
+        rail = 22.0 if k == 0 else 24.0
+        here = move(POSE, payload(), here, Around(1.7e9 + 120.0 * k, "box", {"rail": rail}))
+        said.append(here[VERTICAL])
+    # between the first two readings the temperature is taken in their middle
+    assert said[0] - said[31] == pytest.approx(1e-4 * 2.0 * (1 - np.exp(-1.0)), rel=0.02)
+
+
+def test_a_wave_of_the_screw_is_taken_out_where_the_joint_really_goes() -> None:
+    column = Column("frame", "wave", {"joint": VERTICAL, "period": 0.008, "phase": "sin"}, VERTICAL + 1, TY)
+    found = asked(knowing("periodic_transmission", "vertical", column, 1e-4))
+    there = 1e-4 * float(np.sin(2 * np.pi * found.corrected[VERTICAL] / 0.008))
+    assert abs(there) > 1e-5
+    assert np.linalg.norm(miss(found.corrected, there)) < 5e-5
+
+
+def test_creep_is_taken_out_where_the_age_of_the_load_is_known() -> None:
+    """Half of the sag of one link that comes late has come after ln 2 time constants."""
+    args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "exponential"}
+    compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+    plain = asked(Compensator(base()[1])).corrected
+    fresh, half, nobody = (asked(compensator, loaded_for=s) for s in (1.0, 3600 * np.log(2), None))
+    missing = [np.abs(found.corrected - plain).max() for found in (fresh, half, nobody)]
+    assert missing[0] > 1e-6
+    assert missing[1] == pytest.approx(missing[0] / 2, rel=0.01)
+    assert missing[2] < 1e-9
+    assert fresh.effects[0].taken_out
+    assert "when the load was changed is not known" in nobody.effects[0].why
+
+
+# --- what cannot ------------------------------------------------------------------------------------------------------
+def test_a_drift_is_left_as_it_was_on_average_and_said() -> None:
+    column = Column("frame", "clock", {"form": "linear", "tau": 1.0}, 0, TY)
+    compensator = knowing("drift", None, column, 1e-5)
+    early, late = (asked(compensator, around=Around(1.7e9 + t)) for t in (0.0, 3600 * 50.0))
+    np.testing.assert_allclose(early.corrected, late.corrected, atol=1e-12)
+    plain = asked(Compensator(base()[1])).corrected
+    assert plain[VERTICAL] - late.corrected[VERTICAL] == pytest.approx(1e-5 * HOURS / 2, rel=1e-3)
+    assert late.effects[0].taken_out is False
+    assert "how far it has gone since it was measured cannot be known" in late.effects[0].why
+
+
+def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
+    found = asked(knowing("tracker_scale", None, Column("points", "scale"), 1e-4))
+    np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
+    assert "an error of the instrument, not of the machine" in found.effects[0].why
+
+
+def test_a_shifted_zero_is_taken_as_it_was_left() -> None:
+    column = Column("frame", "step", {"visit_time": 3.0}, VERTICAL + 1, TY)
+    found = asked(knowing("zero_shift", "vertical", column, 2e-4), around=Around(1.7e9))
+    assert np.linalg.norm(miss(found.corrected, 2e-4)) < 5e-5
+    assert "whether it was homed since cannot be known" in found.effects[0].why
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+def test_the_command_takes_the_start_and_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lost_motion().calibration.save(tmp_path / "cal.json")
+    common = ["compensate", "--machine", str(PPS), "--calibration", str(tmp_path / "cal.json"), "--joints",
+              *map(str, POSE), "--wrench", *map(str, payload()), "--json"]  # fmt: skip
+
+    def said(*words: str) -> dict[str, object]:
+        assert main([*common, *words]) == 0
+        return dict(json.loads(capsys.readouterr().out))
+
+    from_below, upwards, unknown = said("--from", *map(str, BELOW)), said("--approach", "vertical=+1"), said()
+    assert from_below == upwards
+    assert from_below["compensated"] == [{"effect": "backlash", "joint": "vertical", "why": None}]
+    assert unknown["compensated"] == []
+    left = unknown["not_compensated"]
+    assert isinstance(left, list)
+    assert left[0]["why"].startswith("from which side")
+    assert main([*common, "--approach", "vertical=2"]) == 2
+    assert "--approach vertical: 2, expected +1 or -1" in capsys.readouterr().err
