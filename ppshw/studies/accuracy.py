@@ -22,7 +22,7 @@ NAMES = {"paper": "paper's method", "joint": "joint estimate", "bound": "bound"}
 REMARK = (
     "98.6 % of the residual at the treatment point on 110 unseen visits, measured minus predicted, medians over the "
     "machines [mm]. `noise`: a perfect model on the same visits. `bound`: the Bayesian Cramér-Rao bound of the same "
-    "visits (docs/derivations.md §5.1). `× bound`: ratio of the medians; `model × bound`: of the rms without "
+    "visits (docs/derivations.md §8). `× bound`: ratio of the medians; `model × bound`: of the rms without "
     "repeatability and tracker."
 )
 

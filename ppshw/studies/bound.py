@@ -1,10 +1,10 @@
 """The Bayesian Cramér-Rao bound: what any estimate must miss, given the visits, the noise and the kind of machine.
 
-    E (θ̂ − θ)(θ̂ − θ)ᵀ  ≥  (Λ⁻¹ + Σ_v X_vᵀ R_v⁻¹ X_v)⁻¹                                          (5.9)
+    E (θ̂ − θ)(θ̂ − θ)ᵀ  ≥  (Λ⁻¹ + Σ_v X_vᵀ R_v⁻¹ X_v)⁻¹                                          (8.1)
 
 X_v is the linearised model (17) of visit v, R_v the covariance of its readings as it really is, Λ the covariance of the
 error functions over machines of this kind, mean and covariance known. Van Trees (1968), Detection, Estimation and
-Modulation Theory I, §2.4; Gill & Levit (1995), Applications of the van Trees inequality. docs/derivations.md §5 says
+Modulation Theory I, §2.4; Gill & Levit (1995), Applications of the van Trees inequality. docs/derivations.md §8 says
 what it bounds: every estimate if the functions were Gaussian, every linear one as they are.
 """
 
@@ -155,7 +155,7 @@ class Bound:
 
 
 def bound(ensemble: Ensemble, train: Recording, test: Recording, point: Array, scatter: Array) -> Bound:
-    """Equation (5.9), carried to a point (3,) of the end effector on the visits of `test`.
+    """Equation (8.1), carried to a point (3,) of the end effector on the visits of `test`.
 
     scatter  (n, 6) one standard deviation of each link's random part at an arrival, in its own frame    [m, rad]
     """

@@ -233,7 +233,7 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[Any]:
     with (
         dask.config.set(quiet),
         distributed.LocalCluster(n_workers=min(cluster.workers, jobs), threads_per_worker=1, processes=True,
-                                 dashboard_address=None, silence_logs="CRITICAL") as local,
+                                 dashboard_address="127.0.0.1:0", silence_logs="CRITICAL") as local,
         distributed.Client(local, set_as_default=False) as client,
     ):  # fmt: skip
         yield client
