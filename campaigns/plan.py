@@ -207,11 +207,14 @@ def _with_references(visits: list[Visit], script: Script, machine: Machine, home
     if script.reference is None:
         return visits
     q = tuple(_at(home, script.reference.q, machine, script.reference.where).tolist())
+    targets = tuple(machine.targets)
     out: list[Visit] = []
     for k, visit in enumerate(visits):
         if k % script.reference.every == 0:
-            out.append(Visit(0, "reference", visit.load, q, tuple(machine.targets), None, script.reference.where))
+            out.append(Visit(0, "reference", visit.load, q, targets, None, script.reference.where))
         out.append(visit)
+    if script.reference.closing and visits:
+        out.append(Visit(0, "reference", visits[-1].load, q, targets, None, script.reference.where))
     return out
 
 

@@ -101,11 +101,12 @@ class RandomStep(Step):
 
 @dataclass(frozen=True)
 class Reference:
-    """A pose measured again every `every` visits under whatever load is on, against drift."""
+    """A pose measured again every `every` visits under whatever load is on, against drift; closing: at the end too."""
 
     every: int
     q: Mapping[str, float]
     where: str
+    closing: bool = False
 
 
 @dataclass(frozen=True)
@@ -299,7 +300,10 @@ def _reference(top: Section, file: str) -> Reference | None:
     section = top.section("reference", optional=True)
     if section is None:
         return None
-    found = Reference(section.integer("every", low=1), _joint_values(section, "q"), f"{file}:{section.line}")
+    found = Reference(
+        section.integer("every", low=1), _joint_values(section, "q"), f"{file}:{section.line}",
+        section.flag("closing", default=False),
+    )  # fmt: skip
     section.done()
     return found
 

@@ -51,6 +51,7 @@ class Calibration:
     payload_range       (6, 2) what was sampled of the payload, sensor frame   [N, N·m]
     provenance          method, hashes, version, date, counts
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
+    strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
     """
 
     model: Model
@@ -64,6 +65,7 @@ class Calibration:
     provenance: dict[str, Any]
     effects: tuple[Effect, ...] = ()
     reference: dict[str, float] = field(default_factory=dict)
+    strengths: dict[str, float] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
@@ -101,6 +103,7 @@ class Calibration:
             np.stack([used.wrench.min(axis=0), used.wrench.max(axis=0)], axis=1),
             sampled,
             provenance,
+            strengths=dict(estimate.groups),
         )
 
     def save(self, path: Path | str) -> None:
@@ -143,6 +146,7 @@ class Calibration:
             "terms": terms,
             "effects": [effect.as_dict() for effect in self.effects],
             "reference": self.reference,
+            "strengths": self.strengths,
             "covariance": _pack(self.covariance),
         }
 
@@ -227,6 +231,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         data["provenance"],
         tuple(Effect.from_dict(item) for item in data.get("effects", [])),
         {str(k): float(v) for k, v in data.get("reference", {}).items()},
+        {str(k): float(v) for k, v in data.get("strengths", {}).items()},
     )
 
 

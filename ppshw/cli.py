@@ -65,12 +65,13 @@ def _new_file(path: str, *inputs: str) -> Path:
 
 
 @contextmanager
-def _written_whole(path: Path) -> Iterator[Path]:
+def _written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
     """A file beside `path` that takes its place when all went well, and is gone when not."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         yield partial
-        os.replace(partial, path)
+        if partial.exists() or not may_be_missing:
+            os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -377,17 +378,31 @@ def study(a: argparse.Namespace) -> None:
 
 # --- the bench side ----------------------------------------------------------------------------------------------
 def plan(a: argparse.Namespace) -> None:
+    """plan: a script's visits; or, with --visits, --accuracy or --after, the design of a new script."""
     from campaigns.plan import plan_campaign
     from campaigns.script import load_script
 
     machine = _machine(a)
-    found = plan_campaign(load_script(a.campaign), machine)
+    answer: dict[str, Any] = {}
+    lines: list[str] = []
+    asked = {f"--{k}": v for k, v in vars(a).items() if k in _OF_A_DESIGN and v is not None}
+    if a.campaign is not None:
+        if asked:
+            raise BadInput(f"{next(iter(asked))}: designs a new campaign, and '{a.campaign}' is one already")
+        found = plan_campaign(load_script(a.campaign), machine)
+    else:
+        designed, lines = _designed(a, machine, answer, asked)
+        if designed is None:
+            _say(a, answer, "\n".join(lines))
+            return
+        found = designed
     summary = found.summary()
-    answer: dict[str, Any] = summary.as_dict()
+    answer |= summary.as_dict()
     lines = [
         f"{found.script.name} on {machine.name}: {summary.visits} visits, {summary.readings} readings, "
         f"{summary.load_changes} load changes, about {_hours(summary.duration_s)}",
         *(f"  {step:28}{count:6} visits" for step, count in summary.steps.items()),
+        *lines,
     ]
     if a.list:
         names = machine.joint_names
@@ -398,6 +413,43 @@ def plan(a: argparse.Namespace) -> None:
         for v in found.visits:
             lines.append(f"{v.index:5} {v.step:20} {v.load:12} " + " ".join(f"{x:9.4f}" for x in v.setpoints))
     _say(a, answer, "\n".join(lines))
+
+
+_OF_A_DESIGN = ("visits", "accuracy", "after", "calibration", "loads", "load_cases", "point", "out")
+
+
+def _designed(
+    a: argparse.Namespace, machine: Any, answer: dict[str, Any], asked: dict[str, Any]
+) -> tuple[Any, list[str]]:
+    """A new campaign in --out, or None where nothing is left to measure; with what is to be said."""
+    from campaigns.design.ask import Question
+    from campaigns.design.ask import answer as design
+    from campaigns.script import load_script
+    from ppshw.calibration import load_calibration
+    from ppshw.recording import load_recording
+
+    if a.visits is None and a.accuracy is None and a.after is None:
+        raise BadInput("plan: expected a campaign to expand, or --visits, --accuracy or --after to design one")
+    if a.visits is not None and a.accuracy is not None:
+        raise BadInput("plan: --visits and --accuracy cannot both be asked for")
+    if a.after is not None and a.calibration is not None:
+        raise BadInput("plan: --calibration is not needed with --after, which identifies the recording itself")
+    if a.out is None:
+        raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the designed campaign goes")
+    out = _new_file(a.out, machine.file, *(x for x in (a.after, a.calibration, a.loads) if x))
+    words = " ".join(f"{key.replace('_', '-')} {Path(str(v)).name if key != '--accuracy' else f'{v * 1e3:g}mm'}"
+                     for key, v in asked.items() if key != "--out")  # fmt: skip
+    question = Question(
+        machine, a.visits, a.accuracy,
+        None if a.after is None else load_recording(a.after, machine),
+        None if a.calibration is None else load_calibration(a.calibration, machine),
+        None if a.loads is None else load_script(a.loads),
+        a.load_cases, a.point, a.seed, out.stem, f"ppshw plan {words} --seed {a.seed}",
+    )  # fmt: skip
+    with Bar() as bar, _written_whole(out, may_be_missing=True) as partial:
+        found = design(question, partial, lambda stage: lambda k, n: bar(stage, k, n))
+    answer.update(found.numbers, out=None if found.plan is None else a.out)
+    return found.plan, [*found.lines, *([] if found.plan is None else [a.out])]
 
 
 def _hours(seconds: float) -> str:
@@ -532,6 +584,16 @@ def _count(text: str) -> int:
     return value
 
 
+def _length(text: str) -> float:
+    """A length with its unit (mm, um, µm, m), or metres."""
+    found = _LENGTH.fullmatch(text.strip())
+    if found is None:
+        raise ValueError
+    return _positive(found[1]) * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6, "m": 1.0, "": 1.0}[found[2]]
+
+
+_LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m|)")
+_length.__name__ = "length such as 0.25mm"
 _positive.__name__, _seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
 _count.__name__ = "number of 1 or more"
 
@@ -568,10 +630,20 @@ def _parser() -> argparse.ArgumentParser:
     p = add("check", check, "connect to each device of a site and say who and how it is; moves nothing")
     p.add_argument("--site", required=True, metavar="S", help="site file")
 
-    p = add("plan", plan, "expand a campaign, check it against limits, say how many visits and how long")
-    p.add_argument("campaign", help="campaign script (a file, or the name of one that comes with ppshw)")
+    p = add("plan", plan, "expand a campaign, check it against limits, say how many visits and how long; or design one")
+    p.add_argument("campaign", nargs="?", help="campaign script (a file, or the name of one that comes with ppshw)")
     machine(p)
     p.add_argument("--list", action="store_true", help="list every visit")
+    g = p.add_argument_group("design of a new campaign: what to measure for the least error at a point")
+    g.add_argument("--visits", type=_count, metavar="N", help="of that many visits, reference visits counted")
+    g.add_argument("--accuracy", type=_length, metavar="X", help="with this predicted 98.6 %%, noise included: 0.25mm")
+    g.add_argument("--after", metavar="REC", help="go on after this recording: what to measure next, when to stop")
+    g.add_argument("--out", metavar="CAMPAIGN.yaml", help="the script to write")
+    g.add_argument("--calibration", metavar="CAL.json", help="believe the prior strengths and the noise learnt there")
+    g.add_argument("--loads", metavar="SCRIPT", help="only load cases of this script (default: 20 to 200 kg, or less)")
+    g.add_argument("--load-cases", type=_count, metavar="K", help="how many loads to put on (default: 4)")
+    g.add_argument("--point", help="where accuracy counts (default: treatment, or the tip)")
+    g.add_argument("--seed", type=_seed, default=1, help="of everything random (default: 1)")
 
     p = add("run", run, "run a campaign; the same command again goes on where it stopped")
     p.add_argument("campaign", help="campaign script (a file, or the name of one that comes with ppshw)")

@@ -1,0 +1,116 @@
+"""The order of the visits: shortest travel, with the reference pose between every so many of them.
+
+All visits under one load are made together, and between two reference visits lie as many others as the script says. So
+the visits of one load are rounds from the reference pose and back to it, of given sizes: a vehicle routing problem with
+unit demands. PyVRP solves it (Wouda, Lan & Kool 2024, PyVRP: a high-performance VRP solver package); bound.py says how
+far from the best its answer can be. A round may be driven either way: the way is chosen so that joints are approached
+from both sides.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pyvrp import Model
+from pyvrp.stop import MaxIterations
+
+from campaigns.design.bound import lower_bound
+from campaigns.plan import ACCELERATION_GUESS, VELOCITY_GUESS
+from ppshw.machine import Machine
+
+Array = NDArray[np.float64]
+TICKS = 10_000  # PyVRP counts in whole numbers: tenths of milliseconds
+# A fixed number of iterations, not of seconds: the same seed gives the same order on a slow computer.
+ITERATIONS_PER_VISIT, LEAST_ITERATIONS = 60, 1000
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """Rounds of one load: indices of its visits in their order; seconds of travel, and no order needs less."""
+
+    rounds: tuple[tuple[int, ...], ...]
+    seconds: float
+    bound: float
+
+
+def travel(machine: Machine, a: Array, b: Array) -> Array:
+    """Seconds from poses a (..., n) to poses b (..., n): joints start together, the slowest decides.
+
+    The same law as `campaigns.plan.travel_time`, for many.
+    """
+    speeds = [((j.limits and j.limits.velocity) or VELOCITY_GUESS) for j in machine.joints]
+    rates = [((j.limits and j.limits.acceleration) or ACCELERATION_GUESS) for j in machine.joints]
+    v, g, distance = np.array(speeds), np.array(rates), np.abs(a - b)
+    seconds = np.where(distance >= v**2 / g, distance / v + v / g, 2.0 * np.sqrt(distance / g))
+    return np.asarray(seconds.max(axis=-1))
+
+
+def shortest_rounds(
+    machine: Machine, reference: Array, q: Array, sizes: Sequence[int], seed: int, iterations: int | None = None
+) -> Rounds:
+    """Visits q (N, n) of one load as rounds from `reference` (n,) of these sizes (in all N), the last one last."""
+    between, out = travel(machine, q[:, None], q[None]), travel(machine, q, reference)
+    iterations = iterations or max(LEAST_ITERATIONS, ITERATIONS_PER_VISIT * len(q))
+    found = _solve(between, out, sizes, seed, iterations)
+    found = _both_ways(found, q, reference)
+    last = next(k for k, r in enumerate(found) if len(r) == sizes[-1])
+    found.append(found.pop(last))
+    seconds = sum(length(between, out, r) for r in found)
+    return Rounds(tuple(tuple(r) for r in found), seconds, lower_bound(between, out, sizes, seconds))
+
+
+def length(between: Array, out: Array, visits: Sequence[int]) -> float:
+    """Seconds of one round; between (N, N), out (N,) from the reference."""
+    inner = sum(between[a, b] for a, b in itertools.pairwise(visits))
+    return float(out[visits[0]] + inner + out[visits[-1]])
+
+
+def _solve(between: Array, out: Array, sizes: Sequence[int], seed: int, iterations: int) -> list[list[int]]:
+    if len(out) == 1:
+        return [[0]]
+    ticks = np.round(TICKS * np.block([[np.zeros((1, 1)), out[None]], [out[:, None], between]])).astype(int)
+    model = Model()
+    places = [model.add_location(0, 0) for _ in ticks]
+    model.add_depot(places[0])
+    for place in places[1:]:
+        model.add_client(place, delivery=[1])
+    for size, count in Counter(sizes).items():
+        model.add_vehicle_type(count, capacity=[size])
+    for i, here in enumerate(places):
+        for j, there in enumerate(places):
+            if i != j:
+                model.add_edge(here, there, distance=int(ticks[i, j]))
+    best = model.solve(stop=MaxIterations(iterations), seed=seed, display=False, collect_stats=False).best
+    routes = [[stop.idx for stop in route if stop.is_client()] for route in best.routes()]
+    if not best.is_feasible() or sorted(map(len, routes)) != sorted(sizes):
+        # a tight fit that the solver missed (never seen): the visits as they come; the bound will tell
+        ends = np.cumsum(sizes)
+        routes = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
+    return routes
+
+
+def _both_ways(rounds: list[list[int]], q: Array, reference: Array) -> list[list[int]]:
+    """Turn rounds round until every joint is approached from below as often as from above, all over its travel."""
+    scale = np.maximum(np.ptp(q, axis=0), 1e-9)
+
+    def tally(visits: list[int]) -> Array:
+        came = np.sign(q[visits] - np.vstack([reference[None], q[visits[:-1]]]))
+        where = (q[visits] - reference) / scale
+        return np.concatenate([came.sum(axis=0), 2.0 * (came * where).sum(axis=0)])
+
+    tallies = [(tally(r), tally(r[::-1])) for r in rounds]
+    way = [0] * len(rounds)
+    total = np.sum([t[0] for t in tallies], axis=0)
+    better = True
+    while better:
+        better = False
+        for k, both in enumerate(tallies):
+            turned = total - both[way[k]] + both[1 - way[k]]
+            if turned @ turned < total @ total - 1e-9:
+                total, way[k], better = turned, 1 - way[k], True
+    return [r[::-1] if w else r for r, w in zip(rounds, way, strict=True)]
