@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_finding
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_finding, still_gross
 from ppshw.diagnosis.library import Candidate, library, nameless
 from ppshw.diagnosis.search import Found, search
 from ppshw.diagnosis.visibility import visibility
@@ -68,10 +68,14 @@ def diagnose(
     tried, found = _look(space, without, seed, lambda k: tell(2 + k, 10))
     if found:
         # strengths and noise were learnt beside the effect; learn them again without it, and look once more
-        base = estimate(joint_model(machine, recording), _without(space).subset(space.fit))
+        gross = still_gross(space, gross)
+        believed = everything.copy()
+        believed[list(gross.visits)] = False
+        base = estimate(joint_model(machine, recording), _without(space).subset(believed))
         space = prepare(machine, recording, believed, base)
         tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
     scatter = None if "unsettled" in without else scatter_finding(space, seed)
+    space = space.as_learnt()
     answer = _answer(space, tried, found, gross, scatter)
     tell(10, 10)
     return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])

@@ -29,7 +29,10 @@ Array = NDArray[np.float64]
 AMPLITUDES = (1 / 3, 1.0, 3.0)
 DRAWS = 199
 LEAST_SHARE = 3e-4
+CHUNK = 2048  # columns at a time
 Name = tuple[str, str | None]
+Single = NDArray[np.float32]
+_Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 
 
 @dataclass
@@ -41,25 +44,28 @@ class _Batch:
 
 
 class Tried:
-    """All candidates over one workspace: whitened columns of unit size, and the same less what is absorbed."""
+    """All candidates over one workspace: their columns whitened, of unit size, and less what the base model absorbs.
+
+    half       (K, F·3T + p)  rows whose products are ZᵀV⁻¹Z, in single precision: there are some 15,000 of them
+    projected  (K, F·3T)      their first part, P Z
+    plain, seen  (K,)      ZᵀR⁻¹Z and ZᵀV⁻¹Z of every column
+    """
 
     def __init__(self, space: Workspace, candidates: Sequence[Candidate], repeatability: float) -> None:
         self.candidates = list(candidates)
         self.repeatability = repeatability
         self.space = space
         unique: dict[_Key, int] = {}
-        index = [[unique.setdefault(_key(c), len(unique)) for c in k.columns] for k in candidates]
-        self._columns = list(unique)
-        count, size = len(space.recording), space.rows
-        fit = int(space.fit.sum())
-        self.white = np.zeros((fit * size, len(unique)), dtype=np.float32)
-        self.scale = np.ones(len(unique))
-        readings = max(int(space.recording.seen.sum()), 1)
-        for k, column in enumerate(self._columns):
-            raw = column.value.evaluate(space.context)
-            self.scale[k] = max(float(np.sqrt((raw**2).sum() / readings)), 1e-30)
-            scaled = (raw / self.scale[k]).reshape(count, size, 1)
-            self.white[:, k] = space.whiten(scaled)[:, 0]
+        columns: list[Column] = []
+        index = []
+        for candidate in candidates:
+            found = []
+            for column in candidate.columns:
+                at = unique.setdefault(_key(column), len(unique))
+                if at == len(columns):
+                    columns.append(column)
+                found.append(at)
+            index.append(found)
         self.index = [np.array(i) for i in index]
         sizes = sorted({len(i) for i in index})
         self._batches = [
@@ -73,35 +79,34 @@ class Tried:
         self.names: list[Name] = list(dict.fromkeys((k.effect, k.joint) for k in candidates))
         position = {n: j for j, n in enumerate(self.names)}
         self.name_of = np.array([position[k.effect, k.joint] for k in candidates])
-        white32 = space.white.astype(np.float32)
-        inner = cho_solve(space.factor, (white32.T @ self.white).astype(float))
-        self.projected = self.white - white32 @ inner.astype(np.float32)
+        self._of_name = [np.flatnonzero(self.name_of == j) for j in range(len(self.names))]
+        self.half, self.scale, self.plain, self._absorbing = _halves(space, columns)
+        self.projected = self.half[:, : space.y.size]
+        self.seen = np.einsum("kr,kr->k", self.half, self.half).astype(float)
         # what the base model takes whole leaves rounding errors, not evidence
-        plain = np.einsum("rk,rk->k", self.white, self.white)
-        visible = np.einsum("rk,rk->k", self.white, self.projected) > LEAST_SHARE * np.maximum(plain, 1e-30)
+        visible = self.seen > LEAST_SHARE * np.maximum(self.plain, 1e-30)
         self.log_share = np.where([visible[i].all() for i in self.index], self.log_share, -np.inf)
         self._info0 = [self._information(batch.columns) for batch in self._batches]
         self.update()
 
     def _information(self, columns: NDArray[np.int64]) -> Array:
         """(C, k) columns → (C, k, k) information of each candidate, given the base model alone."""
-        k = columns.shape[1]
-        info = np.empty((len(columns), k, k))
-        for a in range(k):
-            for b in range(a, k):
-                info[:, a, b] = info[:, b, a] = np.einsum(
-                    "rc,rc->c", self.white[:, columns[:, a]], self.projected[:, columns[:, b]]
-                )
+        count, k = columns.shape
+        info = np.empty((count, k, k))
+        step = max(1, CHUNK // k)
+        for at in range(0, count, step):
+            block = self.half[columns[at : at + step]]  # (c, k, R)
+            info[at : at + step] = block @ np.swapaxes(block, 1, 2)
         return info
 
     def update(self) -> None:
         """Account for what the workspace has taken up now."""
         space = self.space
-        self._cross = np.asarray(space.taken_white.T.astype(np.float32) @ self.projected, dtype=float)  # (kF, K)
+        self._cross = self._product(space.absorbed)  # (K, f)
         self._info = []
         for batch, info in zip(self._batches, self._info0, strict=True):
-            w = self._cross[:, batch.columns]  # (kF, C, k)
-            self._info.append(info - np.einsum("fca,fg,gcb->cab", w, space.middle, w))
+            w = self._cross[batch.columns]  # (C, k, f)
+            self._info.append(info - w @ space.middle @ np.swapaxes(w, 1, 2))
 
     # --- evidence ------------------------------------------------------------------------------------------------
     def evidence(self, scores: Array) -> Array:
@@ -123,15 +128,20 @@ class Tried:
     def scores(self) -> Array:
         """Zᵀ V⁻¹ y of every column, what was taken up included in V: (K,)."""
         space = self.space
-        plain = np.asarray(self.projected.T @ space.y.astype(np.float32), dtype=float)
-        return plain - self._cross.T @ (space.middle @ (space.absorbed.T @ space.y))
+        plain = self._product(space.absorb(space.y[:, None]))[:, 0]
+        return plain - self._cross @ (space.middle @ (space.absorbed.T @ space.y))
+
+    def _product(self, absorbed: Array) -> Array:
+        """Zᵀ P x of every column for P x (F·3T, k): Z = P Z + A c, so that nothing large is cancelled."""
+        whole = np.concatenate([absorbed, self._absorbing.T @ absorbed])
+        return np.asarray(self.half @ whole.astype(np.float32), dtype=float)
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
         weighted = evidence + self.log_share
         out = np.full((len(evidence), len(self.names)), -np.inf)
-        for j in range(len(self.names)):
-            out[:, j] = logsumexp(weighted[:, self.name_of == j], axis=1)
+        for j, mine in enumerate(self._of_name):
+            out[:, j] = logsumexp(weighted[:, mine], axis=1)
         return out
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
@@ -140,29 +150,63 @@ class Tried:
         residual  (F, 3T) whitened and corrected for leverage
         """
         fit, size = residual.shape
-        parts = np.einsum(
-            "vrk,vr->vk", self.projected.reshape(fit, size, -1), residual.astype(np.float32), optimize=True
-        )
+        parts = np.empty((fit, len(self.projected)), dtype=np.float32)
+        for v in range(fit):
+            parts[v] = self.projected[:, v * size : (v + 1) * size] @ residual[v].astype(np.float32)
         taken = np.einsum("vrf,vr->vf", self.space.absorbed.reshape(fit, size, self.space.absorbed.shape[1]), residual)
-        parts -= (taken @ self.space.middle @ self._cross).astype(np.float32)
+        parts -= (taken @ self.space.middle @ self._cross.T).astype(np.float32)
         signs = rng.choice(np.array([-1.0, 1.0], dtype=np.float32), size=(draws, fit))
         return np.asarray(self.by_name(self.evidence(np.asarray(signs @ parts, dtype=float))).max(axis=1))
 
 
-@dataclass(frozen=True)
-class _Key:
-    text: str
-    value: Column
-
-    def __hash__(self) -> int:
-        return hash(self.text)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self.text == other.text
-
-
 def _key(column: Column) -> _Key:  # columns hold dictionaries, which do not hash
-    return _Key(repr(column), column)
+    return column.on, column.function, tuple(sorted(column.args.items())), column.frame, column.component
+
+
+def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array, Array, Array]:
+    """(K, F·3T + p) see Tried; (K,) rms at the reflectors per unit; (K,) ZᵀR⁻¹Z of the columns at unit rms; A.
+
+    With A = X Λ½ W, whose columns are orthogonal with squared lengths s² (R⁻½ in X and Z):
+    c = (1 + s²)⁻¹ Aᵀ Z, P Z = Z − A c, and Zᵀ V⁻¹ Z = |P Z|² + |c|².
+    """
+    scaled = space.white * space.prior
+    lengths, turn = np.linalg.eigh(scaled.T @ scaled)
+    exact = scaled @ turn
+    absorbing = exact.astype(np.float32)
+    shrink = (1.0 / (1.0 + np.maximum(lengths, 0.0))).astype(np.float32)
+    fit, rows = int(space.fit.sum()), space.y.size
+    half = np.empty((len(columns), rows + len(lengths)), dtype=np.float32)
+    scale = np.empty(len(columns))
+    readings = max(int(space.recording.seen.sum()), 1)
+    # columns on one component of a frame are that column of the Jacobian times a function of the visits
+    jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))
+    squares = (jacobian**2).sum(axis=3)  # (n+1, 6, N)
+    white = np.einsum("nij,fcnj->fcni", space.root[space.fit], jacobian[:, :, space.fit], optimize=True)
+    white = white.astype(np.float32)
+    values: dict[tuple[object, ...], Array] = {}
+    for k, column in enumerate(columns):
+        f, c = column.frame, column.component
+        if column.on == "frame":
+            key = _key(column)[1:3]
+            if key not in values:
+                values[key] = column.value(space.context)
+            value = values[key]
+            scale[k] = np.sqrt(squares[f, c] @ value**2 / readings)
+            part = white[f, c] * value[space.fit, None].astype(np.float32)
+        else:
+            raw = column.evaluate(space.context)
+            scale[k] = np.sqrt((raw**2).sum() / readings)
+            part = space.whiten(raw[..., None])[:, 0].reshape(fit, -1).astype(np.float32)
+        scale[k] = max(scale[k], 1e-30)
+        half[k, :rows] = (part / np.float32(scale[k])).ravel()
+    plain = np.empty(len(columns))
+    for at in range(0, len(columns), CHUNK):
+        part = half[at : at + CHUNK, :rows]
+        plain[at : at + CHUNK] = np.einsum("kr,kr->k", part, part)
+        inner = (part @ absorbing) * shrink
+        half[at : at + CHUNK, rows:] = inner
+        part -= inner @ absorbing.T
+    return half, scale, plain, exact
 
 
 def p_value(observed: float, null: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,21 @@ def gross_errors(space: Workspace) -> GrossErrors:
         float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))) * 1e3),
         float(min(1.0, tail.min() * len(distance))),
     )
+
+
+def still_gross(space: Workspace, gross: GrossErrors) -> GrossErrors:
+    """Those of the visits that stay wrong when what was found is taken into account (`space` has it taken up): a
+    visit may have been odd by an effect that nobody knew yet."""
+    if not gross.visits:
+        return gross
+    left = np.nan_to_num(space.residual())
+    white = np.einsum("nij,nj->ni", space.root, left)
+    freedom = 3 * space.recording.seen.sum(axis=1)
+    distance = (white**2).sum(axis=1)
+    scale = float(np.median((distance / chi2.median(freedom))[space.fit]))
+    limit = np.maximum(scale * chi2.isf(GROSS / len(distance), freedom), 6.0 * scale * freedom)
+    kept = tuple(v for v in gross.visits if distance[v] > limit[v])
+    return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})
 
 
 def _swap(space: Workspace, visit: int) -> tuple[str, ...]:

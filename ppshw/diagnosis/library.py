@@ -95,13 +95,14 @@ def _friction(c: Context) -> Iterator[Candidate]:
 
 
 def _thermal(c: Context) -> Iterator[Candidate]:
-    for place in c.recording.temperatures:
-        if not np.isfinite(c.recording.temperatures[place]).all() or np.ptp(c.recording.temperatures[place]) < 1e-3:
-            continue
+    for place in _places(c):
         for tau in LAGS_H:
             args = {"place": place, "tau": tau}
             for k, name in _joints(c):
                 own = _own(c, k)
+                along = Column("frames", "link_growth", {**args, "joint": k})
+                if np.any(along.value(c)):
+                    yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", (along,), {"lag_h": tau})
                 for comp in range(6):
                     flat = Column("frame", "temperature", args, k + 1, comp)
                     grows = Column("frame", "temperature_q", {**args, "joint": k}, k + 1, comp)
@@ -119,6 +120,11 @@ def _drift(c: Context) -> Iterator[Candidate]:
         yield Candidate("drift", None, "base", None, "time", all6, {"tau_h": tau}, 1.0)
         for comp in range(6):
             yield Candidate("drift", None, "base", COMPONENTS[comp], "time", (all6[comp],), {"tau_h": tau}, 0.5)
+    for moment in _moments(c, 40):
+        for form in ("step", "ramp"):
+            all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
+            yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / 40)
+            yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / 40)
     for order in (2, 3, 4):
         waves = [
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
@@ -129,15 +135,22 @@ def _drift(c: Context) -> Iterator[Candidate]:
         yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
 
 
+def _moments(c: Context, most: int) -> list[float]:
+    """Moments between visits, evenly, some way from both ends [h]."""
+    count = len(c.hours)
+    return [float(t) for t in (0.5 * (c.hours[1:] + c.hours[:-1]))[8 : count - 8 : max(1, count // most)]]
+
+
 def _tracker_scale(c: Context) -> Iterator[Candidate]:
     constant = Column("points", "scale", {})
     yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
-    for place in c.recording.temperatures:
-        if np.ptp(c.recording.temperatures[place]) < 1e-3 or not np.isfinite(c.recording.temperatures[place]).all():
-            continue
+    for place in _places(c):
         grows = Column("points", "scale", {"place": place})
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5)
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5)
+        # about another point than where the instrument is said to stand: everything shifts with the temperature as well
+        shifts = tuple(Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3))
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3)
 
 
 def _periodic(c: Context) -> Iterator[Candidate]:
@@ -191,12 +204,17 @@ def _clearance(c: Context) -> Iterator[Candidate]:
             w = c.wrenches[:, frame, b]
             if min((w > 0).mean(), (w < 0).mean()) < 0.03:
                 continue
-            for width in (0.02, 0.1, 0.3):  # wider ones are nonlinear stiffness
-                args = {"frame": frame, "component": b, "width": width}
+            shapes: list[tuple[str, dict[str, float]]] = [
+                ("load_side", {"width": w, "offset": o}) for w in (0.02, 0.1, 0.3) for o in (0.0, -0.3, 0.3)
+            ]  # wider ones are nonlinear stiffness
+            shapes += [("load_side_held", {"width": w}) for w in (0.1, 0.25, 0.5)]
+            for function, shape in shapes:
+                args = {"frame": frame, "component": b, **shape}
                 for comp in range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], LOADS[b],
-                        (Column("frame", "load_side", args, frame, comp),), {"width": width}, 1.0 if comp == b else 0.1,
+                        (Column("frame", function, args, frame, comp),), {"width": shape["width"]},
+                        1.0 if comp == b else 0.1,
                     )  # fmt: skip
 
 
@@ -227,6 +245,17 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
         for axis in "xyz":
             shift = Column("frames", "body_weight", {"joint": k, "what": axis})
             yield Candidate("moving_weight", name, name, None, f"q_{name}", (shift,), share=0.2)
+    for frame, name in enumerate(c.machine.joint_names, start=1):
+        for b in range(3, 6):
+            column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
+            if np.ptp(column.value(c)) > 0:
+                yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (column,), {}, 0.5)
+            if frame < c.machine.n:
+                args = {"frame": frame, "component": b, "joint": frame}
+                column = Column("frame", "hanging", args, frame, b)
+                if np.ptp(column.value(c)) > 0:
+                    after = c.machine.joint_names[frame]
+                    yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{after}", (column,), {}, 0.5)
 
 
 def _wrench(c: Context) -> Iterator[Candidate]:
@@ -240,29 +269,50 @@ def _wrench(c: Context) -> Iterator[Candidate]:
         for source in range(6):
             args = {"component": comp, "source": source}
             yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)
+    gain = Column("frames", "sensor_error", {"component": -1})
+    yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
+    for source in range(3):
+        leak = tuple(Column("frames", "sensor_error", {"component": m, "source": source}) for m in (3, 4, 5))
+        yield Candidate("wrench_error", None, None, None, LOADS[source], leak)
+    for place in _places(c):
+        for tau in LAGS_H:
+            every = tuple(
+                Column("frames", "sensor_error", {"component": comp, "place": place, "tau": tau}) for comp in range(6)
+            )
+            where = ("wrench_error", None, None, None, f"temp_{place}_C")
+            yield Candidate(*where, every, {"lag_h": tau}, 0.5)
+            for column in every:
+                yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
+
+
+def _places(c: Context) -> list[str]:
+    """Temperatures without gaps that change at all."""
+    return [p for p, t in c.recording.temperatures.items() if np.isfinite(t).all() and np.ptp(t) >= 1e-3]
 
 
 def _creep(c: Context) -> Iterator[Candidate]:
     if len(set(c.recording.load)) < 2:
         return
-    places = [(-1, None), *((frame, name) for frame, name, _ in _elastic_frames(c))]
-    for frame, name in places:
-        share = 1.0 if frame >= 0 else 2.0
-        for tau in CREEP_H:
-            for function in ("creep", "log_creep"):
-                column = Column("frames", function, {"tau": tau, "frame": frame})
-                yield Candidate("creep", name, name, None, "since_load_change", (column,), {"tau_h": tau}, share)
+    for tau in CREEP_H:
+        for form in ("exponential", "log"):
+            shape = {"tau_h": tau}
+            whole = Column("frames", "creep", {"tau": tau, "form": form})
+            yield Candidate("creep", None, None, None, "since_load_change", (whole,), shape, 2.0)
+            for frame, name, acting in _elastic_frames(c):
+                for b in acting:
+                    args = {"frame": frame, "component": b, "tau": tau, "form": form}
+                    column = Column("frame", "creeping", args, frame, b)
+                    yield Candidate(
+                        "creep", name, name, COMPONENTS[b], "since_load_change", (column,), shape,
+                        1.0 if b > 2 else 0.3,
+                    )  # fmt: skip
 
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:
-    count = len(c.hours)
-    moments = 0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 450)]
     for k, name in _joints(c):
-        for moment in moments:
-            column = Column("frame", "step", {"visit_time": float(moment)}, k + 1, _own(c, k))
-            yield Candidate(
-                "zero_shift", name, name, COMPONENTS[_own(c, k)], "time", (column,), {"time_h": float(moment)}
-            )
+        for moment in _moments(c, 450):
+            column = Column("frame", "step", {"visit_time": moment}, k + 1, _own(c, k))
+            yield Candidate("zero_shift", name, name, COMPONENTS[_own(c, k)], "time", (column,), {"time_h": moment})
 
 
 def _missing_compliance(c: Context) -> Iterator[Candidate]:
@@ -290,14 +340,13 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
 def _target(c: Context) -> Iterator[Candidate]:
     if c.points.shape[1] < 2:
         return
-    count = len(c.hours)
-    moments = [-1.0, *(0.5 * (c.hours[1:] + c.hours[:-1])[8 : count - 8 : max(1, count // 40)])]
+    moments = [-1.0, *_moments(c, 40)]
     for t, name in enumerate(c.recording.target_names):
         for moment in moments:
             columns = tuple(
-                Column("points", "target_shift", {"target": t, "axis": a, "since": float(moment)}) for a in range(3)
+                Column("points", "target_shift", {"target": t, "axis": a, "since": moment}) for a in range(3)
             )
-            shape = {"time_h": float(moment)} if moment >= 0 else {}
+            shape = {"time_h": moment} if moment >= 0 else {}
             yield Candidate(
                 "target_moved", None, None, None, name, columns, shape, 1.0 if moment < 0 else 1.0 / len(moments)
             )

@@ -4,40 +4,48 @@ again beside the others."""
 from __future__ import annotations
 
 from collections.abc import Callable, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import Name, Tried, corrected_residual, p_value
+from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-# What counts as significant, family-wise: the first finding, and any beside it (what a form leaves unexplained of a
-# large effect must not become a second one).
+# What counts as significant, family-wise: the first finding, and any beside it.
 FIRST, FURTHER = 0.03, 0.01
 MOST_FINDINGS = 5
 # No finding without real odds, however quiet the null: e³ = 20 to 1 against nothing, e⁵ beside another finding.
 LEAST_FIRST, LEAST_FURTHER = 3.0, 5.0
-# Weights of names are tempered: forms of real machines differ from the library's, so evidence overstates.
 # Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
-LEAST_SIZE, SAME_EFFECT = 0.4, 0.5
+SAME_EFFECT = 0.5
+# Weights of names are tempered: forms of real machines differ from the library's, so evidence overstates.
 TEMPER = 0.6
 PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
+NEAR_SD = 0.5  # of all near forms together, in units of the main form's size
+ROUNDS = 3  # of putting names to the question again
 
 
 @dataclass
 class Found:
-    """best: the candidate that stands for the name; weights of all names; p family-wise when it was found."""
+    """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
+    size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms;
+    at: where its columns begin in the workspace."""
 
     best: int
     name: Name
     p: float
     evidence: float
     weights: dict[Name, float] = field(default_factory=dict)
+    size: float = 0.0
+    near: tuple[Column, ...] = ()
+    at: int = 0
 
 
 def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: Progress | None = None) -> list[Found]:
@@ -52,15 +60,9 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
         p = p_value(evidence, tried.null(corrected_residual(space), rng))
         if p > (FURTHER if found else FIRST):
             break
-        before = [replace(f) for f in found]
         found.append(Found(best, _name(tried, best), p, evidence))
         take_up(space, tried, found)
         _reconsider(space, tried, found)
-        sizes = [coefficients(space, tried.candidates[f.best])[2] for f in found]
-        if sizes[-1] < LEAST_SIZE * max(sizes) and found[-1].name[0] not in [f.name[0] for f in before]:
-            found = before
-            take_up(space, tried, found)
-            break
     _weigh(space, tried, found)
     return found
 
@@ -90,51 +92,83 @@ def _names(tried: Tried) -> tuple[Array, Array]:
     return evidence[0], tried.by_name(evidence)[0]
 
 
-def columns_of(space: Workspace, candidate: Candidate) -> Array:
-    """(N, 3T, k) of a candidate, at its own units."""
-    return np.stack([c.evaluate(space.context) for c in candidate.columns], axis=2)
+def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array, float]:
+    """Coefficients of the finding's own form, their standard deviations, and the rms of all its forms [m]."""
+    _, values = space.coefficients()
+    main, every = len(candidate.columns), len(candidate.columns) + len(found.near)
+    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[found.at : found.at + main]
+    whole = space.taken[:, :, found.at : found.at + every] @ values[found.at : found.at + every]
+    return values[found.at : found.at + main], std, _rms(space, whole)
 
 
-def coefficients(space: Workspace, candidate: Candidate) -> tuple[Array, Array, float]:
-    """Coefficients of the candidate as taken up, their standard deviations, and its rms at the reflectors [m]."""
-    columns = columns_of(space, candidate)
-    _, all_values = space.coefficients()
-    at = _where(space.taken, columns)
-    k = columns.shape[2]
-    values = all_values[at : at + k]
-    std = np.sqrt(np.maximum(np.diag(space.middle)[at : at + k], 0.0))
-    readings = max(int(space.recording.seen.sum()), 1)
-    rms = float(np.sqrt(((columns @ values) ** 2).sum() / readings))
-    return values, std, rms
+def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:
+    """All columns of a finding, near forms among them, with values and standard deviations."""
+    _, values = space.coefficients()
+    here = slice(found.at, found.at + len(candidate.columns) + len(found.near))
+    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))
+    return (*candidate.columns, *found.near), values[here], std[here]
 
 
-def _where(taken: Array, columns: Array) -> int:
-    for at in range(taken.shape[2] - columns.shape[2] + 1):
-        if np.array_equal(taken[:, :, at : at + columns.shape[2]], columns):
-            return at
-    raise AssertionError("a finding's columns are not in the workspace")
+def _rms(space: Workspace, displacement: Array) -> float:
+    return float(np.sqrt((displacement**2).sum() / max(int(space.recording.seen.sum()), 1)))
 
 
 def take_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """The workspace with exactly these findings."""
-    if not found:
-        space.forget()
-    else:
-        columns = [columns_of(space, tried.candidates[f.best]) for f in found]
-        scales = [tried.scale[tried.index[f.best]] for f in found]
-        space.take_up(np.concatenate(columns, axis=2), PRIOR_SD * tried.repeatability / np.concatenate(scales))
+    """The workspace with exactly these findings, and with what else each of them may be like."""
+    for f in found:
+        if f.size == 0.0:
+            _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
+    _lay(space, tried, found)
     tried.update()
 
 
-def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """Each earlier finding once more, given the others: a better form or name may take its place."""
-    if len(found) < 2:
+def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
+    """The size of a finding's own form, alone beside the others; its near forms scale with it."""
+    candidate = tried.candidates[f.best]
+    f.near = ()
+    _lay(space, tried, [*others, f])
+    f.size = coefficients(space, candidate, f)[2]
+    f.near = near_forms(space.context, candidate)
+
+
+def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    if not found:
+        space.forget()
         return
+    columns: list[Array] = []
+    prior: list[float] = []
     for f in found:
-        take_up(space, tried, [g for g in found if g is not f])
-        f.best, f.evidence = _best(tried)
-        f.name = _name(tried, f.best)
-    take_up(space, tried, found)
+        f.at = len(columns)
+        candidate = tried.candidates[f.best]
+        columns += [c.evaluate(space.context) for c in candidate.columns]
+        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
+        for column in f.near:
+            value = column.evaluate(space.context)
+            columns.append(value)
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / max(_rms(space, value), 1e-30))
+    space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
+
+
+def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    """Each finding once more, given the others: a better form or name may take its place, and what the others explain
+    as well is dropped; until nothing changes."""
+    for _ in range(ROUNDS):
+        if len(found) < 2:
+            return
+        changed = False
+        for f in list(found):
+            others = [g for g in found if g is not f]
+            take_up(space, tried, others)
+            best, f.evidence = _best(tried)
+            if f.evidence < LEAST_FURTHER:
+                found.remove(f)
+                changed = True
+            elif best != f.best:
+                f.best, f.name, f.size = best, _name(tried, best), 0.0
+                changed = True
+        take_up(space, tried, found)
+        if not changed:
+            return
 
 
 def _weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:

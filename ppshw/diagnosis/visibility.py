@@ -25,10 +25,9 @@ def visibility(space: Workspace, tried: Tried) -> list[dict[str, Any]]:
     """
     chosen = _representatives(tried)
     index = np.array([tried.index[c][0] for c in chosen.values()])
-    plain = np.einsum("rk,rk->k", tried.white[:, index], tried.white[:, index])
-    seen = np.einsum("rk,rk->k", tried.white[:, index], tried.projected[:, index])
-    unit = tried.projected[:, index] / np.maximum(np.linalg.norm(tried.projected[:, index], axis=0), 1e-30)
-    alike = np.abs(unit.T @ unit)
+    plain, seen = tried.plain[index], tried.seen[index]
+    unit = tried.half[index] / np.maximum(np.sqrt(seen), 1e-30)[:, None]
+    alike = np.abs(unit @ unit.T)
     out = []
     for k, (effect, joint) in enumerate(chosen):
         aliases = sorted({

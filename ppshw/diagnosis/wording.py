@@ -20,7 +20,7 @@ LEAST_WEIGHT = 0.01
 def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     """One finding of the contract's §4; `space` has all findings taken up."""
     candidate = tried.candidates[found.best]
-    values, std, rms = coefficients(space, candidate)
+    values, std, rms = coefficients(space, candidate, found)
     parameters = _parameters(candidate, values, std)
     weights = found.weights or {found.name: 1.0}
     alternatives = [
@@ -73,7 +73,7 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
         units = ["1/K" if g else "1" for g in grows]
     elif candidate.effect == "thermal_growth":
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
-        units = [f"{unit}/K"] * len(values)
+        units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
     elif candidate.effect == "friction_hysteresis":
         names = ["lag"]
     elif candidate.effect == "zero_shift":
@@ -81,8 +81,7 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
     elif candidate.effect == "target_moved":
         names, units = ["dx", "dy", "dz"], ["m"] * 3
     elif candidate.effect == "moving_weight":
-        what = candidate.columns[0].args["what"]
-        names, units = (["mass"], ["kg"]) if what == "mass" else ([f"shifted_mass_{what}"], ["kg m"])
+        names, units = _weight(candidate, unit)
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
         load = "N" if candidate.covariate.startswith("F") else "N m"
         names, units = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))], [
@@ -91,7 +90,7 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
     elif candidate.effect == "clearance":
         names = ["half_gap"]
     elif candidate.effect == "creep":
-        names, units = ["share"], ["1"]
+        names, units = (["share"], ["1"]) if candidate.joint is None else (["compliance"], [f"{unit}/(N m)"])
     out: dict[str, dict[str, Any]] = {
         name: {"value": float(v * f), "std": float(s * f), "unit": u}
         for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
@@ -99,6 +98,14 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
     for name, value in candidate.shape.items():
         out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit)}
     return out
+
+
+def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
+    column = candidate.columns[0]
+    if column.function == "body_weight":
+        what = column.args["what"]
+        return (["mass"], ["kg"]) if what == "mass" else ([f"shifted_mass_{what}"], ["kg m"])
+    return ["compliance"], [f"{unit}/(N m)"]
 
 
 def _shape_unit(name: str, unit: str) -> str:

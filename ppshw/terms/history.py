@@ -52,22 +52,52 @@ def lagged(values: Array, hours: Array, tau: float) -> Array:
     return out
 
 
-def load_memory(wrench: Array, load: tuple[str, ...], hours: Array, tau: float) -> Array:
-    """How much of each past load change is still felt: Σ ΔW exp(−t/τ).
+def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
+    """What a rigid payload must be that the sensor felt so, one for all visits of a load label, by least squares:
 
-    wrench  (N, 6) on a frame;  load labels say when the payload was changed (the wrench alone changes with every pose)
-    returns (N, 6): multiply by −compliance for a deflection that is still to come
+        F = m g,   M = S × g                                        (S = m r, the first moment about the sensor)
+
+    wrench (N, 6) and gravity (N, 3) in the sensor frame; what no visit shows of S (along g) is 0
+    returns (N, 4): mass [kg], first moment [kg·m]
     """
-    out = np.zeros_like(wrench)
-    state = np.zeros(6)
-    level = wrench[0]
-    for k in range(1, len(wrench)):
-        state = state * np.exp(-max(0.0, hours[k] - hours[k - 1]) / tau)
-        if load[k] != load[k - 1]:
-            state = state + wrench[k] - level
-        level = wrench[k]
-        out[k] = state
+    labels = np.array(load)
+    out = np.empty((len(wrench), 4))
+    for label in dict.fromkeys(load):
+        mine = labels == label
+        g = gravity[mine]
+        mass = float((g * wrench[mine, :3]).sum() / max(float((g**2).sum()), 1e-30))
+        minus_cross = np.zeros((len(g), 3, 3))  # S × g = −[g]× S
+        minus_cross[:, [0, 1, 2], [1, 2, 0]] = g[:, [2, 0, 1]]
+        minus_cross[:, [0, 1, 2], [2, 0, 1]] = -g[:, [1, 2, 0]]
+        moment = np.linalg.lstsq(minus_cross.reshape(-1, 3), wrench[mine, 3:].ravel(), rcond=1e-2)[0]
+        out[mine] = np.concatenate([[mass], moment])
     return out
+
+
+def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str) -> Array:
+    """What of the load changes is still to come, Σ ΔL e^(−age/τ) ("exponential"), or goes on coming,
+    Σ ΔL ln(1 + age/τ) ("log"): loads superpose (Boltzmann). Changes are put halfway between two visits. What hung there
+    before the first visit is taken to have hung there for long; "first" is e^(−t/τ) of it, had it come just then.
+
+    payload (N, k) in any measure that adds up;  returns (N, k)
+    """
+    if form == "first":
+        return np.asarray(payload[0] * np.exp(-(hours - hours[0]) / tau)[:, None])
+    out = np.zeros_like(payload)
+    for k in range(1, len(payload)):
+        if load[k] == load[k - 1]:
+            continue
+        age = hours[k:] - 0.5 * (hours[k] + hours[k - 1])
+        kernel = np.exp(-age / tau) if form == "exponential" else np.log1p(age / tau)
+        out[k:] += (payload[k] - payload[k - 1]) * kernel[:, None]
+    return out
+
+
+def side_held(load: Array, width: float) -> Array:
+    """(N,) 1 or −1: the side a joint with play was last pushed to by more than ±width, and lies on since."""
+    side = np.sign(np.where(np.abs(load) > width, load, 0.0))
+    last = np.maximum.accumulate(np.where(side != 0, np.arange(len(load)), -1))
+    return np.asarray(np.where(last >= 0, side[np.maximum(last, 0)], np.sign(load[0]) or 1.0))
 
 
 def hours_since_change(load: tuple[str, ...], hours: Array) -> Array:

@@ -17,9 +17,10 @@ from ppshw.kinematics import frames, point_jacobian
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
+from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
-from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, slip
+from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip
 
 Array = NDArray[np.float64]
 FunctionOfVisits = Callable[..., Array]
@@ -67,7 +68,7 @@ class Context:
         first = float(recording.time[0])
         start = reference.setdefault("start", first if np.isfinite(first) else 0.0)
         return cls(
-            model.machine, recording, jacobian, wrenches, points, tips, chain, _compliances(model, theta, situation),
+            model.machine, recording, jacobian, wrenches, points, tips, chain, compliances(model, theta, situation),
             measuring_in_base, hours_since(start, recording.time), reference,
         )  # fmt: skip
 
@@ -82,7 +83,7 @@ class Context:
         return np.asarray((q - (low + high) / 2) / max((high - low) / 2, 1e-9))
 
 
-def _compliances(model: Model, theta: Array, situation: Situation) -> Array:
+def compliances(model: Model, theta: Array, situation: Situation) -> Array:
     """(N, n+1, 6, 6) of every frame as calibrated, from the response to unit loads."""
     joints = model.machine.n
     out = np.zeros((len(situation), joints + 1, 6, 6))
@@ -108,9 +109,13 @@ class Column:
     frame: int = 0
     component: int = 0
 
+    def value(self, c: Context) -> Array:
+        """The function alone: (N,) on a frame, (N, n+1, 6) on frames, (N, T, 3) on points."""
+        return FUNCTIONS[self.function](c, **self.args)
+
     def evaluate(self, c: Context) -> Array:
         """(N, 3T) displacement of the targets per unit of the column's coefficient, base axes."""
-        value = FUNCTIONS[self.function](c, **self.args)
+        value = self.value(c)
         if self.on == "frame":
             return np.asarray(c.jacobian[:, :, self.frame, self.component] * value[:, None])
         if self.on == "frames":
@@ -135,8 +140,8 @@ def approach(c: Context, joint: int) -> Array:
     return c.recording.approach[:, joint].astype(float)
 
 
-def approach_q(c: Context, joint: int) -> Array:
-    return c.recording.approach[:, joint] * c.u(joint)
+def approach_q(c: Context, joint: int, power: int = 1) -> Array:
+    return c.recording.approach[:, joint] * c.u(joint) ** power
 
 
 def slipping(c: Context, joint: int, width: float) -> Array:
@@ -152,13 +157,25 @@ def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
     return temperature(c, place, tau) * c.u(joint)
 
 
+def link_growth(c: Context, place: str, tau: float, joint: int) -> Array:
+    """(N, n+1, 6) the link behind a joint longer by a metre per metre and kelvin, towards the next joint or the tip."""
+    machine = c.machine
+    after = machine.joints[joint + 1].origin if joint + 1 < machine.n else machine.tip_in_link
+    out = np.zeros((len(c.hours), machine.n + 1, 6))
+    out[:, joint + 1, :3] = temperature(c, place, tau)[:, None] * after[:3, 3]
+    return out
+
+
 def clock(c: Context, form: str, tau: float = 1.0) -> Array:
-    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "half" √t, "wave" by τ."""
+    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" the τ-th over the
+    recording, "step" 1 and "ramp" t − τ from τ on."""
     t = c.hours
     forms = {
         "linear": t,
         "exponential": 1.0 - np.exp(-t / tau),
         "log": np.log1p(t / tau),
+        "step": (t >= tau).astype(float),
+        "ramp": np.maximum(t - tau, 0.0),
         "cosine": np.cos(np.pi * tau * t / max(c.frozen("hours", float(t[-1])), 1e-9)),
     }
     return np.asarray(forms[form])
@@ -167,6 +184,12 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
 def step(c: Context, visit_time: float) -> Array:
     """1 from a moment on (hours since the start)."""
     return np.asarray((c.hours >= visit_time).astype(float))
+
+
+def settling(c: Context, visit_time: float, tau: float) -> Array:
+    """e^(−(t − t₀)/τ) from a moment t₀ on: what a step loses again."""
+    late = c.hours - visit_time
+    return np.asarray(np.where(late >= 0, np.exp(-np.maximum(late, 0.0) / tau), 0.0))
 
 
 def wave(c: Context, joint: int, period: float, phase: str) -> Array:
@@ -188,11 +211,36 @@ def load_power(c: Context, frame: int, component: int, exponent: float) -> Array
     return np.asarray(np.sign(w) * np.abs(w) ** exponent / max(most, 1e-9) ** (exponent - 1))
 
 
-def load_side(c: Context, frame: int, component: int, width: float) -> Array:
-    """Which side a joint falls to: −1 … 1, saturating; width relative to the load's spread."""
+def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0) -> Array:
+    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread."""
     w = c.wrenches[:, frame, component]
-    spread = c.frozen(f"spread.{frame}.{component}", float(w.std()))
-    return np.asarray(np.tanh(w / (width * max(spread, 1e-9))))
+    spread = max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9)
+    return np.asarray(np.tanh((w / spread - offset) / width))
+
+
+def load_side_held(c: Context, frame: int, component: int, width: float) -> Array:
+    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread."""
+    w = c.wrenches[:, frame, component]
+    return side_held(w, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
+
+
+def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
+    """A component of the wrench on a frame that former load changes have not brought yet ("exponential"), or that goes
+    on growing after them ("log")."""
+    return np.asarray(_late(c, tau, form)[:, frame, component])
+
+
+def own_weight(c: Context, frame: int, component: int) -> Array:
+    """A component of the wrench on a frame by the machine's own bodies alone."""
+    return np.asarray(_own(c)[:, frame, component])
+
+
+def hanging(c: Context, frame: int, component: int, joint: int) -> Array:
+    """Moment on a frame by a weight of 1 N that hangs at joint `joint` and grows with its travel (a cable chain)."""
+    arm = c.chain[:, joint + 1, :3, 3] - c.chain[:, frame, :3, 3]
+    g = np.asarray(c.machine.gravity) / max(float(np.linalg.norm(c.machine.gravity)), 1e-9)
+    force = (0.5 + 0.5 * c.u(joint))[:, None] * g
+    return np.asarray(_turned(c.chain[:, frame], force, np.cross(arm, force))[:, component])
 
 
 def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
@@ -247,24 +295,25 @@ def named_column(c: Context, name: str) -> Array:
 
 
 # --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
-def creep(c: Context, tau: float, frame: int = -1) -> Array:
-    """What is still missing of the deflection after load changes; frame −1: every elastic frame alike."""
-    out = np.zeros_like(c.wrenches)
-    for i in range(out.shape[1]) if frame < 0 else [frame]:
-        memory = load_memory(c.wrenches[:, i], c.recording.load, c.hours, tau)
-        out[:, i] = -np.einsum("nab,nb->na", c.compliance[:, i], memory)
-    return out
+def creep(c: Context, tau: float, form: str) -> Array:
+    """What is still missing of every link's deflection after load changes, or goes on after them."""
+    return -_deflection(c, _late(c, tau, form))
 
 
-def log_creep(c: Context, tau: float, frame: int = -1) -> Array:
-    """Deflection that goes on with the logarithm of the time since the load was changed."""
-    growth = np.log1p(hours_since_change(c.recording.load, c.hours) / tau)
-    out = np.einsum("nfab,nfb->nfa", c.compliance, c.wrenches) * growth[:, None, None]
-    if frame >= 0:
-        kept = np.zeros_like(out)
-        kept[:, frame] = out[:, frame]
-        out = kept
-    return np.asarray(out)
+def _late(c: Context, tau: float, form: str) -> Array:
+    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
+    g = np.einsum("nji,j->ni", sensor[:, :3, :3], c.machine.gravity)
+    held = load_memory(payloads(c.recording.wrench, c.recording.load, g), c.recording.load, c.hours, tau, form)
+    wrench = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
+    return link_wrenches(c.machine, c.chain, wrench) - _own(c)
+
+
+def _own(c: Context) -> Array:
+    return link_wrenches(c.machine, c.chain, np.zeros((len(c.chain), 6)))
+
+
+def _deflection(c: Context, wrenches: Array) -> Array:
+    return np.asarray(np.einsum("nfab,nfb->nfa", c.compliance, wrenches))
 
 
 def body_weight(c: Context, joint: int, what: str) -> Array:
@@ -287,23 +336,23 @@ def body_weight(c: Context, joint: int, what: str) -> Array:
     return out
 
 
-def sensor_error(c: Context, component: int, source: int = -1, time: str = "") -> Array:
-    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, or with time."""
+def sensor_error(
+    c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0
+) -> Array:
+    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time, or
+    with a temperature (lagged by tau hours). component −1: all six, each by its own reading (gain)."""
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
     if time:
         size = size * clock(c, time)
+    if place:
+        size = size * temperature(c, place, tau)
     wrench = np.zeros((count, 6))
-    wrench[:, component] = size
-    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
-    force = np.einsum("nij,nj->ni", sensor[:, :3, :3], wrench[:, :3])
-    moment = np.einsum("nij,nj->ni", sensor[:, :3, :3], wrench[:, 3:])
-    out = np.zeros_like(c.wrenches)
-    for i in range(1, out.shape[1]):
-        frame = c.chain[:, i]
-        here = moment + np.cross(sensor[:, :3, 3] - frame[:, :3, 3], force)
-        out[:, i] = -np.einsum("nab,nb->na", c.compliance[:, i], _turned(frame, force, here))
-    return out
+    if component < 0:
+        wrench = c.recording.wrench
+    else:
+        wrench[:, component] = size
+    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
 
 
 def _turned(frame: Array, force: Array, moment: Array) -> Array:
@@ -333,8 +382,8 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Arr
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        approach, approach_q, slipping, temperature, temperature_q, clock, step, wave, load, load_q, load_power,
-        load_side, pair, covariate, covariate_pair, creep, log_creep, body_weight, sensor_error, scale,
-        target_shift,
+        approach, approach_q, slipping, temperature, temperature_q, link_growth, clock, step, settling, wave, load,
+        load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair, covariate, covariate_pair,
+        creep, body_weight, sensor_error, scale, target_shift,
     )
 }  # fmt: skip

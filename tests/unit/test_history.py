@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.terms.history import hours_since_change, lagged, load_memory, slip
+from ppshw.terms.history import hours_since_change, lagged, load_memory, payloads, side_held, slip
 
 
 def test_a_slipping_spring_follows_small_moves_and_slips_on_large_ones() -> None:
@@ -34,12 +34,33 @@ def test_a_lag_of_no_time_is_no_lag_and_a_step_is_two_thirds_there_after_one_tim
     assert abs(after[500] - (1 - np.exp(-1.0))) < 2e-3
 
 
-def test_a_load_change_fades_and_a_new_pose_is_no_load_change() -> None:
+def test_a_load_change_fades_and_the_next_one_adds_to_it() -> None:
     hours = np.array([0.0, 1.0, 2.0, 3.0])
-    wrench = np.zeros((4, 6))
-    wrench[:, 1] = [-100.0, -300.0, -300.0, -250.0]  # the last one by a new pose alone
-    memory = load_memory(wrench, ("a", "b", "b", "b"), hours, 1.0)[:, 1]
-    assert np.allclose(memory, [0.0, -200.0, -200.0 * np.exp(-1), -200.0 * np.exp(-2)])
+    payload = np.array([[10.0], [30.0], [30.0], [0.0]])
+    load = ("a", "b", "b", "c")
+    fading = load_memory(payload, load, hours, 1.0, "exponential")[:, 0]
+    # put on half way between two visits: 0.5 h, 1.5 h and 2.5 h later
+    expected = [0.0, 20 * np.exp(-0.5), 20 * np.exp(-1.5), 20 * np.exp(-2.5) - 30 * np.exp(-0.5)]
+    assert np.allclose(fading, expected)
+    growing = load_memory(payload, load, hours, 1.0, "log")[:, 0]
+    assert np.allclose(growing, [0.0, 20 * np.log(1.5), 20 * np.log(2.5), 20 * np.log(3.5) - 30 * np.log(1.5)])
+    assert np.allclose(load_memory(payload, load, hours, 2.0, "first")[:, 0], 10 * np.exp(-hours / 2))
+
+
+def test_a_payload_is_known_from_what_the_sensor_felt_in_several_poses() -> None:
+    g = 9.81 * np.array([[0.0, -1.0, 0.0], [0.1, -0.995, 0.0], [0.0, -0.99, 0.14], [0.0, -1.0, 0.0]])
+    first_moment = np.array([5.0, 12.0, 40.0])  # 50 kg at (0.1, 0.24, 0.8) m
+    wrench = np.array([[*(50.0 * v), *np.cross(first_moment, v)] for v in g])
+    wrench[3] = 0.0  # and nothing under another label
+    found = payloads(wrench, ("a", "a", "a", "empty"), g)
+    assert np.allclose(found[:3], [50.0, *first_moment])
+    assert np.allclose(found[3], 0.0)
+
+
+def test_a_joint_with_play_stays_on_its_side_until_it_is_pushed_over() -> None:
+    load = np.array([2.0, 0.5, -0.5, -2.0, 0.5, 1.5])
+    assert side_held(load, 1.0).tolist() == [1, 1, 1, -1, -1, 1]
+    assert side_held(np.array([-0.2, 0.1, 3.0]), 1.0).tolist() == [-1, -1, 1]
 
 
 def test_the_time_since_a_load_change_starts_half_way_between_two_visits() -> None:

@@ -1,0 +1,130 @@
+"""What else a named effect may be like: forms near the library's, taken up beside it with a share of its size.
+
+No machine has exactly the play or the creep of a textbook. What the library's form leaves of a large effect would be
+found as a second effect, with a name that nothing bears; instead every finding brings its own freedom along: the same
+joint, component and covariate, other widths, lags, harmonics, moments. The prior lets them be a part of the main form.
+"""
+
+from __future__ import annotations
+
+from ppshw.diagnosis.library import CREEP_H, LAGS_H, Candidate
+from ppshw.terms.shapes import Column, Context
+
+STEPS = 12  # moments in the recording at which something may go on that began as a jump
+
+
+def near_forms(c: Context, candidate: Candidate) -> tuple[Column, ...]:
+    """Columns that a candidate's own may be accompanied by; none that it has itself."""
+    maker = _MAKERS.get(candidate.effect)
+    if maker is None:
+        return ()
+    have = set(map(repr, candidate.columns))
+    return tuple(column for column in maker(c, candidate) if repr(column) not in have)
+
+
+def _on(candidate: Candidate, function: str, **args: object) -> Column:
+    """A function on the frame and component of the candidate's first column."""
+    first = candidate.columns[0]
+    return Column("frame", function, args, first.frame, first.component)
+
+
+def _lost_motion(c: Context, k: Candidate) -> list[Column]:
+    joint = c.machine.joint_names.index(str(k.joint))
+    low, high = float(c.recording.q[:, joint].min()), float(c.recording.q[:, joint].max())
+    slips = [_on(k, "slipping", joint=joint, width=w * (high - low)) for w in (0.005, 0.02, 0.05, 0.12, 0.3)]
+    if not c.recording.has_approach:
+        return slips
+    return [
+        *slips, _on(k, "approach", joint=joint), _on(k, "approach_q", joint=joint),
+        _on(k, "approach_q", joint=joint, power=2),
+    ]  # fmt: skip
+
+
+def _thermal(c: Context, k: Candidate) -> list[Column]:
+    args = k.columns[0].args
+    joint = c.machine.joint_names.index(str(k.joint))
+    if k.columns[0].function == "link_growth":
+        return [Column("frames", "link_growth", {**args, "tau": tau}) for tau in LAGS_H]
+    out = []
+    for tau in LAGS_H[:-1]:
+        out.append(_on(k, "temperature", place=args["place"], tau=tau))
+        out.append(_on(k, "temperature_q", place=args["place"], tau=tau, joint=joint))
+    return out
+
+
+def _drift(c: Context, k: Candidate) -> list[Column]:
+    return [
+        Column("frame", "clock", {"form": "cosine", "tau": order}, 0, comp)
+        for order in range(1, 9)
+        for comp in range(6)
+    ]
+
+
+def _periodic(c: Context, k: Candidate) -> list[Column]:
+    joint, period = k.columns[0].args["joint"], k.columns[0].args["period"]
+    return [
+        _on(k, "wave", joint=joint, period=period / harmonic, phase=phase)
+        for harmonic in (2, 3, 4) for phase in ("sin", "cos")
+    ]  # fmt: skip
+
+
+def _by_load(c: Context, k: Candidate) -> list[Column]:
+    frame, component = k.columns[0].args["frame"], k.columns[0].args["component"]
+    out = [_on(k, "load_power", frame=frame, component=component, exponent=e) for e in (0.67, 1.5, 2.0, 3.0)]
+    out += [
+        _on(k, "load_side", frame=frame, component=component, width=w, offset=o)
+        for w in (0.05, 0.2, 0.5) for o in (0.0, -0.4, 0.4)
+    ]  # fmt: skip
+    out += [_on(k, "load_side_held", frame=frame, component=component, width=w) for w in (0.1, 0.25, 0.5)]
+    return out
+
+
+def _coupling(c: Context, k: Candidate) -> list[Column]:
+    a, b = k.columns[0].args["a"], k.columns[0].args["b"]
+    return [_on(k, "pair", a=a, power_a=i, b=b, power_b=j) for i in range(5) for j in range(1, 5) if i + j <= 6]
+
+
+def _creep(c: Context, k: Candidate) -> list[Column]:
+    first = k.columns[0]
+    return [
+        Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
+        for tau in CREEP_H for form in ("exponential", "log", "first")
+    ]  # fmt: skip
+
+
+def _zero_shift(c: Context, k: Candidate) -> list[Column]:
+    moment = float(k.columns[0].args["visit_time"])
+    step = float(c.hours[-1]) / STEPS
+    later = [_on(k, "step", visit_time=step * j) for j in range(1, STEPS)]
+    return [*later, *(_on(k, "settling", visit_time=moment, tau=tau) for tau in (0.5, 2.0))]
+
+
+def _target(c: Context, k: Candidate) -> list[Column]:
+    step = float(c.hours[-1]) / STEPS
+    return [
+        Column("points", "target_shift", {"target": k.columns[0].args["target"], "axis": a, "since": since})
+        for since in (-1.0, *(step * j for j in range(1, STEPS))) for a in range(3)
+    ]  # fmt: skip
+
+
+def _wrench(c: Context, k: Candidate) -> list[Column]:
+    args = k.columns[0].args
+    if "place" not in args:
+        return []
+    return [Column("frames", "sensor_error", {**args, "component": comp}) for comp in range(6)]
+
+
+_MAKERS = {
+    "backlash": _lost_motion,
+    "friction_hysteresis": _lost_motion,
+    "thermal_growth": _thermal,
+    "drift": _drift,
+    "periodic_transmission": _periodic,
+    "nonlinear_stiffness": _by_load,
+    "clearance": _by_load,
+    "cross_coupling": _coupling,
+    "creep": _creep,
+    "zero_shift": _zero_shift,
+    "target_moved": _target,
+    "wrench_error": _wrench,
+}
