@@ -61,13 +61,13 @@ class Chooser:
 
     def greedy(
         self, posterior: Posterior, total: int, quota: Indices | None = None, step: Step | None = None,
-        candidates: int = CANDIDATES,
+        candidates: int | None = None,
     ) -> Chosen:  # fmt: skip
         """One visit after the other, each the best one there is, at most `quota` (L,) of each load.
 
         `posterior` knows the visits afterwards.
         """
-        q, load = self._candidates(candidates)
+        q, load = self._candidates(candidates or CANDIDATES)
         pool = Pool(self.rows_of(q, load), posterior)
         free, taken = np.ones(len(q), dtype=bool), []
         left = np.full(len(self._cases), total) if quota is None else quota.copy()

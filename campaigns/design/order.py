@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pyvrp import Model
+from pyvrp import Model, Route, Solution
 from pyvrp.stop import MaxIterations
 
 from campaigns.design.bound import lower_bound
@@ -24,7 +24,7 @@ from campaigns.plan import ACCELERATION_GUESS, VELOCITY_GUESS
 from ppshw.machine import Machine
 
 Array = NDArray[np.float64]
-TICKS = 10_000  # PyVRP counts in whole numbers: tenths of milliseconds
+TICKS = 1000  # PyVRP counts in whole numbers: milliseconds, well below its penalties for a round that is too full
 # A fixed number of iterations, not of seconds: the same seed gives the same order on a slow computer.
 ITERATIONS_PER_VISIT, LEAST_ITERATIONS = 60, 1000
 
@@ -79,19 +79,23 @@ def _solve(between: Array, out: Array, sizes: Sequence[int], seed: int, iteratio
     model.add_depot(places[0])
     for place in places[1:]:
         model.add_client(place, delivery=[1])
-    for size, count in Counter(sizes).items():
+    kinds = list(Counter(sizes).items())
+    for size, count in kinds:
         model.add_vehicle_type(count, capacity=[size])
     for i, here in enumerate(places):
         for j, there in enumerate(places):
             if i != j:
                 model.add_edge(here, there, distance=int(ticks[i, j]))
-    best = model.solve(stop=MaxIterations(iterations), seed=seed, display=False, collect_stats=False).best
-    routes = [[stop.idx for stop in route if stop.is_client()] for route in best.routes()]
-    if not best.is_feasible() or sorted(map(len, routes)) != sorted(sizes):
-        # a tight fit that the solver missed (never seen): the visits as they come; the bound will tell
-        ends = np.cumsum(sizes)
-        routes = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
-    return routes
+    # Rounds that are all full leave little room to move: start from some, so that the best is never without its sizes.
+    data = model.data()
+    ends = np.cumsum(sizes).tolist()
+    kind = {size: k for k, (size, _) in enumerate(kinds)}
+    start = [Route(data, list(range(end - size, end)), kind[size]) for size, end in zip(sizes, ends, strict=True)]
+    found = model.solve(
+        stop=MaxIterations(iterations), seed=seed, display=False, collect_stats=False,
+        initial_solution=Solution(data, start),
+    )  # fmt: skip
+    return [[stop.idx for stop in route if stop.is_client()] for route in found.best.routes()]
 
 
 def _both_ways(rounds: list[list[int]], q: Array, reference: Array) -> list[list[int]]:
