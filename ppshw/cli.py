@@ -540,18 +540,15 @@ def demo(a: argparse.Namespace) -> None:
 
 
 def _demo_concealed(a: argparse.Namespace) -> None:
-    from ppshw.demo_concealed import run_concealed, sentences
+    from ppshw.demo_concealed import run_concealed, sentences, table_rows
 
     def announce(seal: str) -> None:
         print(f"seal {seal}", file=sys.stderr, flush=True)
 
     with Bar() as bar:
         answer = run_concealed(Path(a.out), a.conceal, a.seed, Path(_machine(a).file), bar, announce)
-    rows = [_figure_row(name, answer[key]) for name, key in _ROWS.items()]
+    rows = [_figure_row(name, values) for name, values in table_rows(answer).items()]
     _say(a, answer, "\n".join(sentences(answer, [_FIGURE_HEAD, *rows])))
-
-
-_ROWS = {"nominal": "nominal", "base calibration": "base", "with findings": "extended"}
 
 
 # --- arguments -----------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from campaigns.operator import AutomaticOperator
 from campaigns.plan import Plan, plan_campaign
@@ -31,13 +32,16 @@ from ppshw.diagnosis.modelled import extended
 from ppshw.errors import BadInput
 from ppshw.evaluation import figures
 from ppshw.identification import identify
+from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms.at_hand import Verdict
-from ppshw.verification import point_errors
+from ppshw.terms.effect import instrument_error
+from ppshw.verification import point_errors, wanted_joints
 from simulators.clock import SteppedClock
 from simulators.hardware import SimulatedHardware, ToConceal
 
+Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 CAMPAIGNS = {"diagnosis": "diagnosis", "verification": "verification"}
 WIDTH = 80
@@ -117,6 +121,7 @@ def run_concealed(
             (out / "truth.json").write_bytes(hardware.carried.truth)
             truth = json.loads(hardware.carried.truth)
         verdicts = _verdicts(compensator, by_more)
+        instrument = {row: _without_instrument(more, r, errors[row]) for row, r in recordings.items()}
         answer: dict[str, Any] = {
             "seal": hardware.carried.seal,
             "conceal": conceal,
@@ -128,6 +133,7 @@ def run_concealed(
             "truth": truth,
             **_compared(truth, found.answer["findings"]),
             **{row: figures(e) for row, e in errors.items()},
+            "instrument_corrected": {row: figures(e) for row, e in instrument.items() if e is not None},
             "taken_out": [v.as_dict() for v in verdicts if v.taken_out],
             "not_compensated": [v.as_dict() for v in verdicts if not v.taken_out],
             "visits": len(recording),
@@ -156,6 +162,17 @@ def _compared(truth: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[
         "joint_right": any(f["joint"] in joints for f in mine) if mine else None,
         "false_findings": len(findings) - len(mine),
     }
+
+
+def _without_instrument(calibration: Calibration, recording: Recording, errors: Array) -> Array | None:
+    """Errors (N, 3) at the point without what the instrument is found to err; None where it is not found to."""
+    machine = calibration.machine
+    ideal = point_positions(machine, wanted_joints(recording), machine.point(POINT)[None])[:, 0]
+    erring = instrument_error(
+        calibration.effects, calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+        calibration.reference, ideal + np.nan_to_num(errors),
+    )  # fmt: skip
+    return errors - erring if erring.any() else None
 
 
 def _verdicts(compensator: Compensator, run: Recording) -> tuple[Verdict, ...]:
@@ -197,6 +214,17 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
             why = f": {v['why']}" if v["why"] else ""
             lines.append(f"{what}: {v['effect']}{joint}{why}")
     seen = f"at the treatment point, {answer['verification_visits']} configurations that no fit has seen [mm]"
+    if answer["instrument_corrected"]:
+        lines.append("* readings corrected for what the instrument is found to err")
     head = [f"seal {answer['seal']}"]
     wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
     return [*head, *wrapped, seen, *figures_table]
+
+
+def table_rows(answer: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Name → figures of every row worth showing; readings corrected where the instrument was found to err."""
+    rows = {name: answer[key] for key, name in zip(ROWS, ("nominal", "base calibration", "with findings"), strict=True)}
+    corrected = answer["instrument_corrected"]
+    if corrected:
+        rows |= {"base, corr.*": corrected["base"], "findings, corr.*": corrected["extended"]}
+    return rows

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,12 @@ class KnownEffects:
 
     # --- what can be known ---------------------------------------------------------------------------------
     def verdicts(self, now: Moment, past: Past) -> list[Verdict]:
-        return [Verdict(effect, *self._verdict(effect, now, past)) for effect in self.effects]
+        """One per effect and joint and reason: an effect may be carried in several pieces."""
+        found: dict[tuple[str, str | None, str], Verdict] = {}
+        for effect in self.effects:
+            taken_out, why = self._verdict(effect, now, past)
+            found.setdefault((effect.name, effect.joint, why), Verdict(effect, taken_out, why))
+        return list(found.values())
 
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
         if any(c.on == "points" for c in effect.columns):
@@ -232,7 +238,7 @@ class KnownEffects:
         errors, wrenches = self._model.errors(here, self._theta)
         chain = frames(self.machine, here.q, errors)
         compliance = self._compliance(here)
-        changed = any(a.load != b.load for a, b in zip(past.moments[-1:] + moments[:-1], moments, strict=False))
+        changed = any(a.load != b.load for a, b in pairwise(past.moments[-1:] + moments))
         if not self._looks_back:
             return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], past.known or changed)
         if past.moments:

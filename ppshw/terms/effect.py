@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,3 +54,22 @@ def displacement(
         for column, value in zip(effect.columns, effect.values, strict=True):
             out += value * column.evaluate(context).reshape(out.shape)
     return out
+
+
+def instrument_error(
+    effects: Sequence[Effect], model: Model, theta: Array, recording: Recording, measuring_in_base: Array,
+    reference: dict[str, float], points: Array,
+) -> Array:  # fmt: skip
+    """What an erring instrument adds to its readings of any points, beside the reflectors that identified it.
+
+    points   (N, 3) in the base frame, one per visit [m];  a reflector that moved moves no other point
+    returns  (N, 3) in the base frame [m]
+    """
+    context = Context.of(model, theta, recording, measuring_in_base, dict(reference))
+    context = replace(context, points=points[:, None])
+    out = np.zeros((len(recording), 1, 3))
+    for effect in effects:
+        for column, value in zip(effect.columns, effect.values, strict=True):
+            if column.on == "points" and column.function != "target_shift":
+                out += value * column.evaluate(context).reshape(out.shape)
+    return np.asarray(out[:, 0])
