@@ -7,7 +7,7 @@ compiled-setpoints.md says why. Needs numba: pip install 'ppshw[fast]'.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,7 +54,8 @@ class FastSetpoints:
 class FastCompensator:
     """Corrects setpoints of one calibrated machine as Compensator does, some thousand times faster.
 
-    Not for two threads at once: it keeps its working memory.
+    Not for two threads at once: it keeps its working memory. Effects that a diagnosis found are not in it, as they look
+    back or ask for temperatures: `left_out` says which those are, and Compensator takes them out.
     """
 
     def __init__(self, calibration: Calibration, bounds: Bounds | None = None) -> None:
@@ -64,7 +65,8 @@ class FastCompensator:
             raise PpshwError(f"fast setpoints need numba ({exc}): pip install 'ppshw[fast]'") from None
         self.calibration = calibration
         self.machine = calibration.machine
-        self._slow = Compensator(calibration, bounds)
+        self.left_out = tuple(effect.sentence for effect in calibration.effects)
+        self._slow = Compensator(replace(calibration, effects=()), bounds)
         self._kernel = fast_kernel
         self._chain = _chain(self.machine)
         self._functions = _functions(calibration)
