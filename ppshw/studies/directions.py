@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ppshw.studies import tasks
 from ppshw.studies.engine import Job, Outcome
 from ppshw.studies.simulated import PAPER_VISITS
-from ppshw.studies.study import Json, Rows, Study
+from ppshw.studies.study import Json, Rows, Study, nothing
 from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ CELL_MM = 500.0
 ARROW, RESIDUAL_ARROW = 40.0, 400.0  # how much longer than they are arrows are drawn
 
 
-def jobs(seeds: Sequence[int], short: bool) -> list[Job]:
+def jobs(seeds: Sequence[int], short: bool, prepared: Json) -> list[Job]:
     visits = 139 if short else PAPER_VISITS
     return [Job(f"{s}", {"seed": s, "plan": "paper", "visits": visits, "method": "joint"}) for s in seeds]
 
@@ -104,7 +104,7 @@ def _map(axes: Any, at: Array, size: Array, figure: Any) -> None:
 
 STUDY = Study(
     "directions", "errors and their directions over the volume, from the paper's campaign, joint estimate (figure 10)",
-    20, tasks.directions, jobs, summarise, draw,
+    20, tasks.directions, nothing, jobs, summarise, draw,
     "At the treatment point on 110 unseen visits per machine, base frame [mm]. `of it the model's`: what is left "
     "without repeatability and tracker's noise. Thirds of the volume hold equally many visits.",
 )  # fmt: skip

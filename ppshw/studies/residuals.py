@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ppshw.studies import tasks
 from ppshw.studies.engine import Job, Outcome
 from ppshw.studies.simulated import PAPER_VISITS
-from ppshw.studies.study import Json, Rows, Study
+from ppshw.studies.study import Json, Rows, Study, nothing
 from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ NAMES = {"nominal": "not compensated", "paper": "paper's method", "joint": "join
 SPECIFICATION_MM = 0.5
 
 
-def jobs(seeds: Sequence[int], short: bool) -> list[Job]:
+def jobs(seeds: Sequence[int], short: bool, prepared: Json) -> list[Job]:
     visits = 139 if short else PAPER_VISITS
     return [Job(f"{s}", {"seed": s, "plan": "paper", "visits": visits, "methods": METHODS}) for s in seeds]
 
@@ -73,7 +73,7 @@ def draw(outcome: Outcome, rows: Rows, path: Path) -> None:
 
 STUDY = Study(
     "residuals", "distribution of the residuals over many machines, from the paper's campaign (figures 11 and 14)",
-    100, tasks.residuals, jobs, summarise, draw,
+    100, tasks.residuals, nothing, jobs, summarise, draw,
     "Length of measured minus predicted at the treatment point on 110 unseen visits per machine, all of them together "
     "[mm]; repeatability and tracker's noise are in it.",
 )  # fmt: skip

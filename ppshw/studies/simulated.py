@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from campaigns.design.ask import Question, answer
 from campaigns.plan import plan_campaign
 from campaigns.script import LoadCase, PosesStep, Script, SweepStep, load_script
 from ppshw.errors import BadInput
@@ -36,8 +37,7 @@ PAPER_VISITS = 669
 # With fewer visits than the paper's 202 the nine repeats of the initial configurations would take all of them.
 REPEATS_FROM, REPEATS = 200, 9
 ENSEMBLE_SEED = 1_000_000
-# "designed" joins them as soon as there are designed campaigns.
-PLANS = ("paper", "random")
+PLANS = ("paper", "random", "designed")
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,14 @@ def machine_file() -> Path:
     return shipped_machines() / "pps.yaml"
 
 
-def make_trial(seed: int, plan: str, visits: int, repeatability: float | None = None) -> Trial:
+def make_trial(
+    seed: int, plan: str, visits: int, repeatability: float | None = None, campaign: str | None = None
+) -> Trial:
     """Machine number `seed`; repeatability [m] instead of the machine file's.
 
-    plan  "paper": its campaign, with fewer positions where fewer visits are asked for; "random": poses anywhere under
-          ten loads; "designed": by `ppshw plan --visits`
+    plan      "paper": its campaign, with fewer positions where fewer visits are asked for; "random": poses anywhere
+              under ten loads; "designed": `campaign`
+    campaign  the text of a campaign script, as `designed_campaign` gives it
     """
     machine = load_machine(machine_file())
     plant = Plant.from_file(machine_file(), seed, repeatability)
@@ -88,7 +91,7 @@ def make_trial(seed: int, plan: str, visits: int, repeatability: float | None = 
             per_load = -(-visits // RANDOM_LOADS)
             simulate_recording_csv(plant, file, visits, rng, loads=RANDOM_LOADS, visits_per_load=per_load)
         else:
-            _visit(plant, _campaign(plan, visits), machine, file, rng)
+            _visit(plant, _script(plan, visits, campaign, Path(folder)), machine, file, rng)
         train = load_recording(file, machine)
         file = Path(folder) / "test.csv"
         names = [*plant.targets, POINT]
@@ -126,10 +129,25 @@ def _on_the_sensor(plant: Plant, case: LoadCase) -> Load | None:
     return Load(case.mass, at[:3])
 
 
-def _campaign(plan: str, visits: int) -> Script:
+def _script(plan: str, visits: int, campaign: str | None, folder: Path) -> Script:
     if plan == "paper":
         return paper_campaign(visits)
-    raise BadInput(f"plan '{plan}': designed campaigns are not there yet, expected paper or random")
+    if plan != "designed" or campaign is None:
+        raise BadInput(f"plan '{plan}': expected paper, random, or designed with its campaign")
+    file = folder / "campaign.yaml"
+    file.write_text(campaign, encoding="utf-8")
+    return load_script(file)
+
+
+def designed_campaign(visits: int) -> str:
+    """What `ppshw plan --visits` designs for the machine file before anything was measured; a minute and more."""
+    question = Question(
+        load_machine(machine_file()), visits, None, None, None, None, None, None, 1, "designed", "a study"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "campaign.yaml"
+        answer(question, out)
+        return out.read_text(encoding="utf-8")
 
 
 @cache

@@ -24,7 +24,8 @@ class Study:
     """A study as a command.
 
     seeds      how many machines by default
-    jobs       (seeds, short) → jobs
+    prepare    (folder, short, cluster) → what the jobs need that is the same for all of them
+    jobs       (seeds, short, what was prepared) → jobs
     summarise  outcome → the table's rows, all with the same columns, and anything else for the JSON
     draw       outcome, rows, file → a picture there
     remarks    what a reader of the table must know
@@ -34,10 +35,16 @@ class Study:
     about: str
     seeds: int
     function: Function
-    jobs: Callable[[Sequence[int], bool], list[Job]]
+    prepare: Callable[[Path, bool, Cluster], Json]
+    jobs: Callable[[Sequence[int], bool, Json], list[Job]]
     summarise: Callable[[Outcome], tuple[Rows, Json]]
     draw: Callable[[Outcome, Rows, Path], None]
     remarks: str
+
+
+def nothing(out: Path, short: bool, cluster: Cluster) -> Json:
+    """For studies whose jobs share nothing."""
+    return {}
 
 
 def run_study(
@@ -52,7 +59,8 @@ def run_study(
         raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
     count = seeds if seeds is not None else (1 if short else study.seeds)
-    jobs = study.jobs(range(FIRST_SEED, FIRST_SEED + count), short)
+    cluster = cluster or Cluster()
+    jobs = study.jobs(range(FIRST_SEED, FIRST_SEED + count), short, study.prepare(out, short, cluster))
     outcome = run_jobs(study.function, jobs, out / f"{study.name}.jsonl", cluster, say)
     if not outcome.results:
         raise PpshwError(f"{out}: every job was lost, the first: {next(iter(outcome.lost.values()))}")

@@ -11,22 +11,29 @@ from numpy.typing import NDArray
 from ppshw.evaluation import figures
 from ppshw.identification import identify
 from ppshw.studies.bound import bound
-from ppshw.studies.simulated import POINT, Trial, ensemble, make_trial
+from ppshw.studies.simulated import POINT, Trial, designed_campaign, ensemble, make_trial
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 
+def design(visits: int) -> Json:
+    """The campaign that is designed for so many visits; the same for every machine, of which it knows nothing."""
+    return {"campaign": designed_campaign(visits)}
+
+
 def accuracy(
-    seed: int, plan: str, visits: int, methods: list[str], machines: int, repeatability_mm: float | None = None
-) -> Json:
+    seed: int, plan: str, visits: int, methods: list[str], machines: int, repeatability_mm: float | None = None,
+    campaign: str | None = None,
+) -> Json:  # fmt: skip
     """Figures of the residual at the treatment point on unseen visits [mm], by method.
 
     methods   of `ppshw identify`; machines: how many the bound's prior is estimated from
     returns   visits; nominal, noise (a perfect model), bound and every method: figures, and of the last two also
               model_rms_mm, the same without repeatability and tracker
     """
-    trial = make_trial(seed, plan, visits, None if repeatability_mm is None else repeatability_mm / 1e3)
+    repeatability = None if repeatability_mm is None else repeatability_mm / 1e3
+    trial = make_trial(seed, plan, visits, repeatability, campaign)
     noise = trial.measured - trial.perfect
     least = bound(ensemble(machines), trial.train, trial.test, trial.machine.point(POINT), trial.scatter)
     return {

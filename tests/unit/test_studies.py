@@ -113,6 +113,33 @@ def test_too_few_visits_for_the_papers_campaign_are_refused() -> None:
         paper_campaign(40)
 
 
+def test_a_designed_campaign_is_visited_as_its_script_says() -> None:
+    """Two loads, four poses; a load of 100 kg weighs 980.7 N less on the sensor in −y than nothing does."""
+    script = """
+name: four
+seed: 1
+home: {}
+loads:
+  - {name: empty, mass: 0}
+  - {name: heavy, mass: 100, com: [0, 0.15, 0.3]}
+steps:
+  - step: designed
+    kind: poses
+    poses:
+      - {load: empty, q: {lateral: -0.5, yaw: 0.3}}
+      - {load: empty, q: {lateral: 0.5}}
+      - {load: heavy, q: {lateral: 0.25, vertical: 0.1}}
+      - {load: heavy, q: {lateral: -0.25}}
+"""
+    train = make_trial(5, "designed", 4, campaign=script).train
+    assert train.load == ("empty", "empty", "heavy", "heavy")
+    assert train.q_cmd[:, 0].tolist() == [-0.5, 0.5, 0.25, -0.25]
+    assert train.wrench[:, 1] == pytest.approx([0, 0, -980.665, -980.665], abs=5.0)
+    assert train.wrench[3, 3] == pytest.approx(980.665 * 0.3, abs=2.0)
+    with pytest.raises(BadInput, match="expected paper, random, or designed with its campaign"):
+        make_trial(5, "designed", 4)
+
+
 def test_one_seed_gives_one_trial_and_its_noise_is_the_machines_repeatability() -> None:
     one, again, other = (make_trial(seed, "random", 40) for seed in (7, 7, 8))
     assert np.array_equal(one.train.points, again.train.points)
