@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaigns.design.belief import Belief, white_rows
-from campaigns.design.information import Pool, Posterior
+from campaigns.design.information import Pool, Posterior, Step
 from campaigns.design.loads import wrench
 from campaigns.script import LoadCase
 from ppshw.machine import Machine
@@ -21,7 +21,7 @@ from ppshw.terms import Situation
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Step = Callable[[], None]
+Tick = Callable[[], None]
 CANDIDATES, EXCHANGED = 2400, 1000
 # Of a candidate's joints, this share stands at an end of its travel; the rest like the ends (arcsine).
 AT_AN_END = 0.25
@@ -60,7 +60,7 @@ class Chooser:
         return white_rows(self._belief, situation(self._belief.machine, q, load, self._cases), self._basis)
 
     def greedy(
-        self, posterior: Posterior, total: int, quota: Indices | None = None, step: Step | None = None,
+        self, posterior: Posterior, total: int, quota: Indices | None = None, tick: Tick | None = None,
         candidates: int | None = None,
     ) -> Chosen:  # fmt: skip
         """One visit after the other, each the best one there is, at most `quota` (L,) of each load.
@@ -75,15 +75,12 @@ class Chooser:
             best = int(np.argmax(np.where(free & (left[load] > 0), pool.gains(), -np.inf)))
             free[best], left[load[best]] = False, left[load[best]] - 1
             taken.append(best)
-            rows = pool.rows[best]
-            gain = posterior.gain(rows)
-            pool.follow(gain)
-            posterior.change(gain)
-            if step:
-                step()
+            _take(posterior, pool, posterior.step(pool.rows[best]))
+            if tick:
+                tick()
         return Chosen(q[taken], load[taken], pool.rows[taken])
 
-    def exchange(self, posterior: Posterior, chosen: Chosen, step: Step | None = None) -> None:
+    def exchange(self, posterior: Posterior, chosen: Chosen, tick: Tick | None = None) -> None:
         """Every visit in turn is taken out, and the best of itself and new candidates of its load is made instead."""
         for case in np.unique(chosen.load):
             mine = np.flatnonzero(chosen.load == case)
@@ -91,19 +88,15 @@ class Chooser:
             pool = Pool(self.rows_of(q, load), posterior)
             free = np.ones(len(q), dtype=bool)
             for k in self._rng.permutation(mine):
-                gain = posterior.gain(chosen.rows[k], made=False)
-                pool.follow(gain, made=False)
-                posterior.change(gain, made=False)
+                _take(posterior, pool, posterior.step(chosen.rows[k], made=False))
                 offers = np.where(free, pool.gains(), -np.inf)
                 best = int(np.argmax(offers))
                 if offers[best] > Pool(chosen.rows[k][None], posterior).gains()[0]:
                     free[best] = False
                     chosen.q[k], chosen.rows[k] = q[best], pool.rows[best]
-                gain = posterior.gain(chosen.rows[k])
-                pool.follow(gain)
-                posterior.change(gain)
-                if step:
-                    step()
+                _take(posterior, pool, posterior.step(chosen.rows[k]))
+                if tick:
+                    tick()
 
     def _candidates(self, count: int, only: int | None = None, near: Array | None = None) -> tuple[Array, Indices]:
         """Poses and load indices, of one load or all in turn; half are poses `near` with a joint or two moved."""
@@ -120,3 +113,8 @@ class Chooser:
             moved = rng.random((half, machine.n)) < 1.5 / machine.n
             q[:half] = np.where(moved, q[:half], near[rng.integers(0, len(near), half)])
         return inside(machine, q), load
+
+
+def _take(posterior: Posterior, pool: Pool, step: Step) -> None:
+    pool.follow(step)
+    posterior.take(step)

@@ -139,15 +139,15 @@ class Designer:
         posterior = self.posterior()
         before = posterior.accuracy()
         chooser = self.chooser()
-        shares = chooser.greedy(posterior, new, step=counter.step, candidates=FIRST_LOOK)
+        shares = chooser.greedy(posterior, new, tick=counter.tick, candidates=FIRST_LOOK)
         wanted = np.bincount(shares.load, minlength=len(self.request.cases))
         owned = _share_out(sizes, wanted, min(self.request.few, rounds))
         posterior = self.posterior()
         posterior.add_all(self._references(chooser, owned))
         quota = np.array([sum(mine) for mine in owned])
-        chosen = chooser.greedy(posterior, new, quota, counter.step)
+        chosen = chooser.greedy(posterior, new, quota, counter.tick)
         for _ in range(exchanges):
-            chooser.exchange(posterior, chosen, counter.step)
+            chooser.exchange(posterior, chosen, counter.tick)
         return self._in_order(chosen, owned, every, before, posterior.accuracy())
 
     def design_for(self, accuracy: float, progress: Progress | None = None) -> Design:
@@ -241,7 +241,7 @@ class _Counter:
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
 
-    def step(self) -> None:
+    def tick(self) -> None:
         self._done += 1
         if self._progress:
             self._progress(min(self._done, self._total), self._total)

@@ -29,7 +29,7 @@ UNSEEN = 0.03
 TESTS = 512
 QUANTILE = 0.986
 DRAWS = 64
-CHUNK = 2048
+CHUNK = 384
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,18 @@ def visible(rows: Array) -> Array:
     return np.asarray(vectors[:, values > UNSEEN])
 
 
+@dataclass(frozen=True)
+class Step:
+    """One visit made (sign −1) or taken out (+1): P ← P + sign K Kᵀ.   (D2)
+
+    seed (r, k) Wᵀ (I ± W P Wᵀ)^(-½);  gain (r, k) K = P seed
+    """
+
+    seed: Array
+    gain: Array
+    sign: float
+
+
 class Posterior:
     """Covariance P (r, r) of the visible directions; `unseen` is what the others add to the point's variance."""
 
@@ -76,16 +88,17 @@ class Posterior:
         self._unseen = rest @ np.swapaxes(rest, 1, 2)
         self.covariance = np.eye(basis.shape[1])
 
-    def gain(self, rows: Array, made: bool = True) -> Array:
-        """K (r, k) of one visit (k, r)."""
+    def step(self, rows: Array, made: bool = True) -> Step:
+        """What making one visit (k, r) will change, or taking it out again."""
         sign = 1.0 if made else -1.0
         half = rows @ self.covariance
-        # a visit taken out again leaves I − W P Wᵀ, positive as long as it was made before; rounding may eat the rest
-        inner = np.eye(len(rows)) + sign * half @ rows.T
-        return np.asarray(solve_triangular(cholesky(inner, lower=True), half, lower=True).T)
+        # a visit taken out leaves I − W P Wᵀ, positive as long as it was made before
+        root = cholesky(np.eye(len(rows)) + sign * half @ rows.T, lower=True)
+        seed, gain = (solve_triangular(root, part, lower=True).T for part in (rows, half))
+        return Step(np.asarray(seed), np.asarray(gain), -sign)
 
-    def change(self, gain: Array, made: bool = True) -> None:
-        self.covariance += (-1.0 if made else 1.0) * gain @ gain.T
+    def take(self, step: Step) -> None:
+        self.covariance += step.sign * step.gain @ step.gain.T
 
     def add_all(self, rows: Array) -> None:
         """Many visits (N, k, r) at once."""
@@ -140,19 +153,17 @@ class Pool:
         solved = np.linalg.solve(np.eye(k) + self._s, self._q)
         return np.asarray(np.trace(solved, axis1=1, axis2=2))
 
-    def follow(self, gain: Array, made: bool = True) -> None:
-        """A visit with `gain` K (r, k') is made or taken out; call before `Posterior.change`."""
-        sign = -1.0 if made else 1.0
-        moved = self._posterior.metric @ gain
-        # W K: all there is to know of how this visit touches every other one
-        touch = self.rows.reshape(-1, self.rows.shape[2]) @ gain
-        pulled = self._a @ moved
+    def follow(self, step: Step) -> None:
+        """Bring all up to date with a step; call before `Posterior.take`."""
+        gain, pull = step.gain, self._posterior.metric @ step.gain
+        both = np.hstack([step.seed, pull])
+        seen = np.empty((len(self._a), both.shape[1]))
         for start in range(0, len(self._a), CHUNK):  # in pieces that stay in the cache
-            some = slice(start, start + CHUNK)
-            self._a[some] += sign * touch[some] @ gain.T
-        count, k = self._s.shape[:2]
-        u, v = touch.reshape(count, k, -1), pulled.reshape(count, k, -1)
+            piece = self._a[start : start + CHUNK]
+            np.matmul(piece, both, out=seen[start : start + CHUNK])
+            piece += (step.sign * seen[start : start + CHUNK, : gain.shape[1]]) @ gain.T
+        u, v = np.split(seen.reshape(*self._s.shape[:2], -1), [gain.shape[1]], axis=2)  # W K and W P M K
         ut = np.swapaxes(u, 1, 2)
         cross = v @ ut
-        self._q += sign * (cross + np.swapaxes(cross, 1, 2)) + u @ (gain.T @ moved) @ ut
-        self._s += sign * u @ ut
+        self._q += step.sign * (cross + np.swapaxes(cross, 1, 2)) + u @ (gain.T @ pull) @ ut
+        self._s += step.sign * u @ ut

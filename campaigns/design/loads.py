@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ SPREAD, LEAST_SPREAD = 0.2, 0.05
 OVER = 1.02
 # Loads are compared by what they do to the sensor at this many poses, against 5 % of the largest as noise.
 POSES, CASE_NOISE = 40, 0.05
+MOST_CHOICES = 5000  # of load cases that are all tried
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ def telling_cases(machine: Machine, given: LoadRange, candidates: Sequence[LoadC
     """The `count` candidates from which the deflection under any load of the range is interpolated best.
 
     Deflection is linear in the wrench, so a load is a vector: what it does to the sensor at some poses. Of all choices
-    of `count` cases, the one with the least mean variance over the range (I-optimal, linear kernel) is taken.
+    of `count` cases (one by one where they are too many), the one with the least mean variance over the range
+    (I-optimal, linear kernel) is taken.
     """
     rng = np.random.default_rng(0)
     low, high = machine.limits()
@@ -104,13 +107,18 @@ def telling_cases(machine: Machine, given: LoadRange, candidates: Sequence[LoadC
     n = len(candidates)
     if count >= n:
         return _named(candidates)
-    best, chosen = np.inf, tuple(range(count))
-    for some in itertools.combinations(range(n), count):
-        k = kernel[np.ix_(some, some)] + CASE_NOISE**2 * np.eye(count)
+
+    def left(some: tuple[int, ...]) -> float:
+        k = kernel[np.ix_(some, some)] + CASE_NOISE**2 * np.eye(len(some))
         cross = kernel[np.ix_(some, range(n, len(kernel)))]
-        left = float(-np.einsum("ij,ij->", cross, np.linalg.solve(k, cross)))
-        if left < best - 1e-12:
-            best, chosen = left, some
+        return float(-np.einsum("ij,ij->", cross, np.linalg.solve(k, cross)))
+
+    if math.comb(n, count) <= MOST_CHOICES:
+        chosen = min(itertools.combinations(range(n), count), key=left)
+    else:  # one by one
+        chosen = ()
+        for _ in range(count):
+            chosen = min(((*chosen, k) for k in range(n) if k not in chosen), key=left)
     return _named([candidates[k] for k in chosen])
 
 

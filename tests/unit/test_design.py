@@ -143,7 +143,7 @@ def test_visits_made_one_by_one_leave_the_covariance_of_all_at_once(small: Machi
     q, load = np.random.default_rng(2).uniform(low, high, (12, 2)), np.arange(12) % 4
     rows = chooser.rows_of(q, load)
     for one in rows:
-        posterior.change(posterior.gain(one))
+        posterior.take(posterior.step(one))
     # the same from the estimate's own design and noise, dense: (Λ⁻¹ + Σ Xᵀ R⁻¹ X)⁻¹, seen at the point
     lin = belief.model.linearise(situation(small, q, load, cases), belief.theta)
     design = lin.design.reshape(12, 9, -1)
@@ -163,9 +163,9 @@ def test_a_visit_takes_off_the_mean_variance_what_the_pool_said_before(small: Ma
     pool = Pool(rows, posterior)
     for k in (4, 17, 4, 21):
         promised, before = pool.gains()[k], posterior.mean_variance
-        gain = posterior.gain(rows[k])
-        pool.follow(gain)
-        posterior.change(gain)
+        step = posterior.step(rows[k])
+        pool.follow(step)
+        posterior.take(step)
         assert before - posterior.mean_variance == pytest.approx(promised, rel=1e-6)
     fresh = Pool(rows, posterior)
     assert pool.gains() == pytest.approx(fresh.gains(), rel=1e-6)
@@ -174,13 +174,13 @@ def test_a_visit_takes_off_the_mean_variance_what_the_pool_said_before(small: Ma
 def test_a_visit_taken_out_again_leaves_no_trace(small: Machine) -> None:
     _, chooser, posterior, _ = chooser_of(small)
     rows = chooser.rows_of(np.array([[0.5, 1.5], [-0.3, 0.2]]), np.array([1, 2]))
-    posterior.change(posterior.gain(rows[0]))
+    posterior.take(posterior.step(rows[0]))
     before, covariance = Pool(rows, posterior).gains(), posterior.covariance.copy()
     pool = Pool(rows, posterior)
     for made in (True, False):
-        gain = posterior.gain(rows[1], made)
-        pool.follow(gain, made)
-        posterior.change(gain, made)
+        step = posterior.step(rows[1], made)
+        pool.follow(step)
+        posterior.take(step)
     assert np.abs(posterior.covariance - covariance).max() < 1e-9
     assert pool.gains() == pytest.approx(before, rel=1e-6)
 
@@ -360,3 +360,20 @@ def test_what_a_recording_tells_is_what_its_visits_would_have_told_beforehand(tm
     before = Designer(Request(known.belief, "treatment", work, cases, 4, 1)).posterior().accuracy()
     after = Designer(Request(known.belief, "treatment", work, cases, 4, 1, known.information)).posterior().accuracy()
     assert after[0] < 0.5 * before[0]
+
+
+def test_of_many_weights_the_telling_few_are_found_one_by_one_too(pps: Machine) -> None:
+    rng = np.random.default_rng(6)
+    many = [LoadCase(f"w{k}", float(rng.uniform(20, 100)), (0.0, 0.1, 0.5)) for k in range(40)]
+    at = [(-0.2, 0.8), (0.2, 0.8), (0.0, 0.3)]
+    corners = [LoadCase(f"corner{k}", 200.0, (x, 0.1, z)) for k, (x, z) in enumerate(at)]
+    found = telling_cases(pps, range_of([*many, *corners]), [*many, *corners], 6)
+    assert {"corner0", "corner1", "corner2"} <= {case.name for case in found}
+
+
+def test_names_that_yaml_would_take_for_something_else_survive(small: Machine, tmp_path: Path) -> None:
+    weights = tmp_path / "weights.yaml"
+    text = "loads: [{name: 'no', mass: 0}, {name: '12', mass: 30, com: [0, 0, 0.1]}, {name: 'a: b', mass: 50}]\n"
+    weights.write_text(f"name: weights\n{text}steps: [{{step: a, kind: random, count: 2}}]\n", encoding="utf-8")
+    found = planned(small, tmp_path / "a.yaml", visits=30, loads=load_script(weights), name="1e3")
+    assert set(found.summary().loads) == {"no", "12", "a: b"}
