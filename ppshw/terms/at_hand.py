@@ -35,7 +35,7 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
-SETTLED_H = 24.0  # a load that nobody says the age of is taken to lie there for so long
+UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class KnownEffects:
         if any(_by_clock(c) for c in effect.columns):
             return False, "how far it has gone since it was measured cannot be known; taken as it was on average"
         if effect.name == "creep" and not past.known:
-            return False, "when the load was changed is not known; taken as long ago"
+            return False, f"when the load was changed is not known; taken as {60 * UNSAID_H:.0f} min ago"
         for column in effect.columns:
             joint = column.args.get("joint")
             if column.function in FROM_APPROACH and now.approach[int(joint or 0)] == 0:
@@ -158,7 +158,7 @@ class KnownEffects:
         return out, np.array([s for _, _, s in columns])
 
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
-        if column.on == "points":
+        if column.on == "points" or column.args.get("form") == "first":  # what had hung there before that recording
             return
         size = self._now(effect, column, context)
         if column.on == "frame":
@@ -231,7 +231,8 @@ class KnownEffects:
 
     # --- the past ------------------------------------------------------------------------------------------
     def remember(self, past: Past, *moments: Moment) -> Past:
-        """The past with these moments behind it; only the last one where no effect looks further back."""
+        """The past with these moments behind it; only the last one where no effect looks further back, and nothing from
+        further back than the recording was long, as nobody has seen what an effect does then."""
         if not moments:
             return past
         here = Situation(np.array([m.q for m in moments]), np.array([m.payload for m in moments]))
@@ -248,7 +249,11 @@ class KnownEffects:
             wrenches = np.concatenate([past.wrenches, wrenches])
             chain = np.concatenate([past.chain, chain])
             compliance = np.concatenate([past.compliance, compliance])
-        return Past((*past.moments, *moments), wrenches, chain, compliance, past.known or changed)
+        everything = (*past.moments, *moments)
+        since = moments[-1].time - 3600.0 * self._reference.get("hours", math.inf)
+        late = next((k for k, m in enumerate(everything) if not m.time < since), len(everything) - 1)
+        known = past.known or changed
+        return Past(everything[late:], wrenches[late:], chain[late:], compliance[late:], known)
 
     def past_of(self, recording: Recording) -> Past:
         """A recording as the past of what is to come on the same machine."""
@@ -263,8 +268,9 @@ class KnownEffects:
         return self.remember(Past(), *moments)
 
     def loaded_for(self, now: Moment, seconds: float | None) -> Past:
-        """A past that only says for how long the load has been on (None: nobody knows, taken as long)."""
-        age = SETTLED_H * 3600.0 if seconds is None else seconds
+        """A past that only says for how long the load has been on (None: nobody knows)."""
+        age = 3600.0 * UNSAID_H if seconds is None else seconds
+        age = min(age, 3600.0 * self._reference.get("hours", math.inf))
         at = self._times([now])[0]
         empty = replace(now, payload=np.zeros(6), load="before", time=at - age - 0.1)
         put_on = replace(now, load="now", time=at - age + 0.1)
