@@ -7,6 +7,8 @@ joint, component and covariate, other widths, lags, harmonics, moments. The prio
 
 from __future__ import annotations
 
+import numpy as np
+
 from ppshw.diagnosis.library import CREEP_H, LAGS_H, Candidate
 from ppshw.terms.shapes import Column, Context
 
@@ -31,7 +33,9 @@ def _on(candidate: Candidate, function: str, **args: object) -> Column:
 def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     joint = c.machine.joint_names.index(str(k.joint))
     low, high = float(c.recording.q[:, joint].min()), float(c.recording.q[:, joint].max())
-    slips = [_on(k, "slipping", joint=joint, width=w * (high - low)) for w in (0.005, 0.02, 0.05, 0.12, 0.3)]
+    ways = (high - low) * np.array([0.005, 0.02, 0.05, 0.12, 0.3])
+    slips = [_on(k, "slipping", joint=joint, width=float(way)) for way in ways]
+    slips += [_on(k, "winding", joint=joint, way=float(way)) for way in ways]
     if not c.recording.has_approach:
         return slips
     return [

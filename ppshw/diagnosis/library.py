@@ -92,6 +92,11 @@ def _friction(c: Context) -> Iterator[Candidate]:
                     "friction_hysteresis", name, name, COMPONENTS[comp], f"move_{name}", (column,),
                     {"width": float(width)}, share,
                 )  # fmt: skip
+                column = Column("frame", "winding", {"joint": k, "way": float(width)}, k + 1, comp)
+                yield Candidate(
+                    "friction_hysteresis", name, name, COMPONENTS[comp], f"move_{name}", (column,),
+                    {"width": float(width)}, share,
+                )  # fmt: skip
 
 
 def _thermal(c: Context) -> Iterator[Candidate]:

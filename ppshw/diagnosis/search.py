@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import Name, Tried, corrected_residual, p_value
 from ppshw.diagnosis.forms import near_forms
+from ppshw.diagnosis.library import LOADS as ALL_LOADS
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
@@ -28,15 +29,21 @@ SAME_EFFECT = 0.5
 # Weights of names are tempered: forms of real machines differ from the library's, so evidence overstates.
 TEMPER = 0.6
 PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
-NEAR_SD = 0.5  # of all near forms together, in units of the main form's size
+NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
+# What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
+# is what the finding's form got wrong, not another effect.
+SHADOW = 0.1
+LOADS = frozenset({
+    "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
+})  # fmt: skip
 ROUNDS = 3  # of putting names to the question again
 
 
 @dataclass
 class Found:
     """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
-    size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms;
-    at: where its columns begin in the workspace."""
+    size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
+    what its own left over; first: evidence when it was found; at: where its columns begin in the workspace."""
 
     best: int
     name: Name
@@ -45,6 +52,8 @@ class Found:
     weights: dict[Name, float] = field(default_factory=dict)
     size: float = 0.0
     near: tuple[Column, ...] = ()
+    more: tuple[Column, ...] = ()
+    first: float = 0.0
     at: int = 0
 
 
@@ -60,11 +69,30 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
         p = p_value(evidence, tried.null(corrected_residual(space), rng))
         if p > (FURTHER if found else FIRST):
             break
-        found.append(Found(best, _name(tried, best), p, evidence))
+        caster = _caster(tried, best, evidence, found)
+        if caster is not None:
+            caster.more += tried.candidates[best].columns
+            caster.size = 0.0
+        else:
+            found.append(Found(best, _name(tried, best), p, evidence, first=evidence))
         take_up(space, tried, found)
         _reconsider(space, tried, found)
     _weigh(space, tried, found)
     return found
+
+
+def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Found | None:
+    """The finding whose shadow a candidate is, if it is one."""
+    candidate = tried.candidates[best]
+    for f in found:
+        other = tried.candidates[f.best]
+        same_joint = other.joint is not None and (
+            candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
+        )
+        by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in ALL_LOADS)
+        if (same_joint or by_load or candidate.covariate == other.covariate) and evidence < SHADOW * f.first:
+            return f
+    return None
 
 
 def _name(tried: Tried, candidate: int) -> Name:
@@ -128,7 +156,7 @@ def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> N
     f.near = ()
     _lay(space, tried, [*others, f])
     f.size = coefficients(space, candidate, f)[2]
-    f.near = near_forms(space.context, candidate)
+    f.near = tuple({repr(c): c for c in (*near_forms(space.context, candidate), *f.more)}.values())
 
 
 def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:

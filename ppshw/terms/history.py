@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
 
 
 def hours_since(start: float, time: Array) -> Array:
@@ -28,14 +29,39 @@ def slip(q: Array, approach: NDArray[np.int64], width: float) -> Array:
     """
     z = float(approach[0]) * width if len(approach) else 0.0
     out = np.empty(len(q))
-    for k in range(len(q)):
-        if k:
-            z = min(width, max(-width, z + q[k] - q[k - 1]))
-        # a visit says from which side it came: a move there and back between visits leaves its mark
-        if approach[k] * (q[k] - q[max(k - 1, 0)]) < 0:
-            z = float(approach[k]) * width
+    for k, (step, anew) in enumerate(_steps(q, approach)):
+        z = float(approach[k]) * width if anew else min(width, max(-width, z + step))
         out[k] = z
     return out / width
+
+
+def _steps(q: Array, approach: NDArray[np.int64]) -> list[tuple[float, bool]]:
+    """Per visit how far the joint went, and whether it came from the other side than that way says: a move there and
+    back between visits leaves its mark. What an encoder reads anew at standstill is no step."""
+    still = STANDSTILL * float(np.ptp(q))
+    out = [(0.0, False)]
+    for k in range(1, len(q)):
+        step = float(q[k] - q[k - 1])
+        step = step if abs(step) > still else 0.0
+        turned = approach[k] * step < 0 if step else approach[k] * approach[k - 1] < 0
+        out.append((step, bool(turned)))
+    return out[: len(q)]
+
+
+def wind_up(q: Array, approach: NDArray[np.int64], way: float) -> Array:
+    """Friction that builds up exponentially with the way since the last reversal, −1 … 1.
+
+        dz = dq (1 − z sgn dq)/way                                  (Dahl 1968, exponent 1)
+
+    q (N,), approach (N,) of the first visit sets where it starts; way in the joint's unit.
+    """
+    z = float(approach[0]) if len(approach) else 0.0
+    out = np.empty(len(q))
+    for k, (step, anew) in enumerate(_steps(q, approach)):
+        wall = float(np.sign(step))
+        z = float(approach[k]) if anew else wall + (z - wall) * float(np.exp(-abs(step) / way)) if step else z
+        out[k] = z
+    return out
 
 
 def lagged(values: Array, hours: Array, tau: float) -> Array:

@@ -20,7 +20,7 @@ from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
-from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip
+from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up
 
 Array = NDArray[np.float64]
 FunctionOfVisits = Callable[..., Array]
@@ -146,6 +146,10 @@ def approach_q(c: Context, joint: int, power: int = 1) -> Array:
 
 def slipping(c: Context, joint: int, width: float) -> Array:
     return slip(c.recording.q[:, joint], c.recording.approach[:, joint], width)
+
+
+def winding(c: Context, joint: int, way: float) -> Array:
+    return wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way)
 
 
 def temperature(c: Context, place: str, tau: float) -> Array:
@@ -382,8 +386,8 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Arr
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        approach, approach_q, slipping, temperature, temperature_q, link_growth, clock, step, settling, wave, load,
-        load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair, covariate, covariate_pair,
-        creep, body_weight, sensor_error, scale, target_shift,
+        approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, step, settling, wave,
+        load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair, covariate,
+        covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
     )
 }  # fmt: skip
