@@ -1,6 +1,6 @@
 """One setpoint after the other in compiled code: the real chain, its wrenches, Newton's method.
 
-The same equations as kinematics.py (eq. 5), statics.py (eq. 15) and compensation.solve_pose, written as loops over one
+The same equations as kinematics.py (eq. 5), statics.py (eq. 15) and inverse.solve_pose, written as loops over one
 pose, because numpy's cost of a call (about 1 µs) is more than a whole 3 × 3 product. Vectors are tuples of 3, rotations
 tuples of 9 by rows: the compiler keeps them in registers. Importing this file imports numba; only fast_setpoints.py
 does. The first use on a computer compiles (some 5 s), later ones read numba's cache.
@@ -306,7 +306,7 @@ def _differentiate(chain, tip, w):
 
 @compiled
 def _step(w, left, q):
-    """q += (JᵀJ + damping)⁻¹ Jᵀ left by Cholesky's method, no joint by more than 0.5; see compensation.solve_pose."""
+    """q += (JᵀJ + damping)⁻¹ Jᵀ left by Cholesky's method, no joint by more than 0.5; see inverse.solve_pose."""
     n, j, a, x = len(q), w.jacobian, w.square, w.step
     size = 0.0
     for i in range(6):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,11 +22,10 @@ from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.terms.effect import Effect
+from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, compliances
 
 Array = NDArray[np.float64]
-Signs = NDArray[np.int64]
-STANDSTILL = 1e-7  # a joint that is commanded less than this away stays as it came [m, rad]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
 CLOCK = frozenset({"clock", "step", "settling"})
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "wave", "load", "load_q", "load_power",
@@ -36,37 +35,6 @@ FROM_APPROACH = frozenset({"approach", "approach_q", "slipping"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
-
-
-@dataclass(frozen=True)
-class Moment:
-    """A pose at which the machine stood, and what was known there.
-
-    q, approach   (n,) [m, rad]; −1, 0 (unknown), 1
-    payload       (6,) on the sensor, sensor frame   [N, N·m]
-    time          [s] since 1970, nan: unknown;   load: its label;   temperatures: place → °C
-    """
-
-    q: Array
-    approach: Signs
-    payload: Array
-    time: float = math.nan
-    load: str = ""
-    temperatures: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Past:
-    """What went before a move, oldest first, with what the base model says of every moment: (M, …) as in Context.
-
-    known  whether it reaches back to the last change of load
-    """
-
-    moments: tuple[Moment, ...] = ()
-    wrenches: Array | None = None
-    chain: Array | None = None
-    compliance: Array | None = None
-    known: bool = False
 
 
 @dataclass(frozen=True)
@@ -286,10 +254,3 @@ def _looks_back(column: Column) -> bool:
     if column.args.get("place") and float(column.args.get("tau", 0.0)) > 0:
         return True
     return column.function not in AT_ONCE and not _by_clock(column)
-
-
-def approach_of(start: Array, end: Array, before: Signs | None = None) -> Signs:
-    """Direction (n,) of a straight move; a joint that stays keeps the one that it had (0 where that is unknown)."""
-    moved = end - start
-    kept = np.zeros(len(moved), dtype=np.int64) if before is None else before
-    return np.where(np.abs(moved) < STANDSTILL, kept, np.sign(moved)).astype(np.int64)

@@ -1,0 +1,52 @@
+"""What a machine went through before a move: poses, directions, loads, temperatures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Signs = NDArray[np.int64]
+STANDSTILL = 1e-7  # a joint that is commanded less than this away stays as it came [m, rad]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A pose at which the machine stood, and what was known there.
+
+    q, approach   (n,) [m, rad]; −1, 0 (unknown), 1
+    payload       (6,) on the sensor, sensor frame   [N, N·m]
+    time          [s] since 1970, nan: unknown;   load: its label;   temperatures: place → °C
+    """
+
+    q: Array
+    approach: Signs
+    payload: Array
+    time: float = math.nan
+    load: str = ""
+    temperatures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Past:
+    """What went before a move, oldest first, with what the base model says of every moment: (M, …) as in Context.
+
+    known  whether it reaches back to the last change of load
+    """
+
+    moments: tuple[Moment, ...] = ()
+    wrenches: Array | None = None
+    chain: Array | None = None
+    compliance: Array | None = None
+    known: bool = False
+
+
+def approach_of(start: Array, end: Array, before: Signs | None = None) -> Signs:
+    """Direction (n,) of a straight move; a joint that stays keeps the one that it had (0 where that is unknown)."""
+    moved = end - start
+    kept = np.zeros(len(moved), dtype=np.int64) if before is None else before
+    return np.where(np.abs(moved) < STANDSTILL, kept, np.sign(moved)).astype(np.int64)
