@@ -142,7 +142,10 @@ class Calibration:
             "sampled": self.sampled,
             "measuring_in_base": self.measuring_in_base.tolist(),
             "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
-            "noise": {"pose": self.noise.pose.tolist(), "instrument": self.noise.instrument},
+            "noise": {
+                "pose": self.noise.pose.tolist(), "instrument": self.noise.instrument,
+                "joints": None if self.noise.joints is None else self.noise.joints.tolist(),
+            },
             "terms": terms,
             "effects": [effect.as_dict() for effect in self.effects],
             "reference": self.reference,
@@ -188,6 +191,10 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     everything = {"terms": found.theta, "covariance": found.covariance, "measuring_in_base": found.measuring_in_base,
                   "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
                   "targets": found.machine.target_array}  # fmt: skip
+    if found.noise.joints is not None:
+        if (found.noise.joints < 0).any():
+            raise CalibrationError(f"{path}: damaged: noise.joints holds negative variances")
+        everything["noise.joints"] = found.noise.joints
     for name, values in everything.items():
         if not (np.abs(values) <= LARGEST).all():
             wanted = f"finite numbers below {LARGEST:g}"
@@ -223,7 +230,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         model,
         np.array(values),
         covariance,
-        Noise(np.array(data["noise"]["pose"], dtype=float).reshape(6, 6), float(data["noise"]["instrument"])),
+        _noise(data["noise"], machine),
         np.array(data["measuring_in_base"], dtype=float).reshape(4, 4),
         np.array([data["valid"]["joints"][j] for j in machine.joint_names], dtype=float).reshape(-1, 2),
         np.array([data["valid"]["payload"][c] for c in WRENCH_COMPONENTS], dtype=float).reshape(6, 2),
@@ -233,6 +240,14 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         {str(k): float(v) for k, v in data.get("reference", {}).items()},
         {str(k): float(v) for k, v in data.get("strengths", {}).items()},
     )
+
+
+def _noise(data: dict[str, Any], machine: Machine) -> Noise:
+    joints = data.get("joints")
+    return Noise(
+        np.array(data["pose"], dtype=float).reshape(6, 6), float(data["instrument"]),
+        None if joints is None else np.array(joints, dtype=float).reshape(machine.n, 6),
+    )  # fmt: skip
 
 
 def content_digest(content: dict[str, Any]) -> str:

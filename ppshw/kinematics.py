@@ -106,6 +106,21 @@ def point_jacobian(chain: Array, positions: Array, errors: Array | None = None) 
     return out
 
 
+def tip_jacobian(chain: Array, tip: Array, errors: Array) -> Array:
+    """How the end effector moves per generalized error, exact at these errors, in its own axes about its own origin.
+
+    chain    (N, n+1, 4, 4)    `frames(machine, q, errors)`;  tip (N, 4, 4);  errors (N, n+1, 6)    [m, rad]
+    returns  (N, 6, n+1, 6)    translation, then rotation                                          [m/m, m/rad; rad/rad]
+    """
+    turning = chain[..., :3, :3] @ np.swapaxes(rotation_rpy(errors[..., 3:]), -1, -2) @ _angle_rates(errors[..., 3:])
+    to_tip = np.swapaxes(tip[:, :3, :3], -1, -2)
+    out = np.zeros((len(chain), 6, chain.shape[1], 6))
+    translation = point_jacobian(chain, tip[:, None, :3, 3], errors)[:, 0]
+    out[:, :3] = (to_tip @ translation.reshape(len(chain), 3, -1)).reshape(translation.shape)
+    out[:, 3:, :, 3:] = np.swapaxes(to_tip[:, None] @ turning, 1, 2)
+    return out
+
+
 def _angle_rates(angles: Array) -> Array:
     """(..., 3) → (..., 3, 3): angular velocity per rate of the three angles of Rz Ry Rx."""
     c, s = np.cos(angles), np.sin(angles)

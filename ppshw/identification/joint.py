@@ -2,25 +2,28 @@
 
     y = X θ + u + e,   θ ~ N(0, Λ),   u: pose repeatability of a visit,   e: instrument noise
 
-Λ has one variance per group of parameters. Variances follow MacKay's fixed point of the marginal likelihood (MacKay
-1992, Bayesian interpolation), noise follows its expectation-maximisation step (Dempster et al. 1977); around both, X is
-rebuilt with the exact product until the prediction stands still. Groups that the data drive to nothing are left out of
-the sums. Visits pass in blocks, so that memory does not grow with their number. docs/derivations.md §5.
+Λ has one variance per group of parameters (`strengths`), u and e follow `noise_fit`; around both, X is rebuilt with the
+exact product where the prediction has moved far. Straight lines come first, so that the rest is laid out once, near
+the truth. Of a long recording the strengths and the noise are learnt from some thousand visits spread over it; all of
+it passes twice, block by block, so that memory does not grow with their number. docs/derivations.md §5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.stats import chi2
 
 from ppshw.errors import IdentificationFailed
-from ppshw.identification.noise import Noise, NoiseUpdate
+from ppshw.identification.judgement import Judgement, level
+from ppshw.identification.noise import Noise, pose_rank
+from ppshw.identification.noise_fit import Form
 from ppshw.identification.start import align, fold, to_base
+from ppshw.identification.strengths import LARGEST, Groups, Posterior, learn, silent
+from ppshw.identification.visits import Linearisation
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
@@ -28,17 +31,21 @@ from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 Progress = Callable[[int, int], None]
-# Prior variances stay within these factors of where they start (as variances): from nothing to some 30 mm and 15 mrad.
-# Without the upper one, errors of parallel axes that cancel each other may grow to metres while noise is still unknown.
-SMALLEST, LARGEST = 1e-10, 1e3
 # The first idea of the noise is this share of what the ideal machine misses: signal is believed step by step.
 FIRST_NOISE_SHARE = 0.2
-# A group whose prior would, summed over all visits, show through the noise by less than this (squared) is left out.
-NEGLIGIBLE = 0.3
-BLOCK = 512
-# Designs of a recording up to this many numbers (0.4 GB) are kept between passes; beyond, they are made again.
-KEPT = 5e7
+# Strengths and noise are learnt from so many visits at most; six numbers each tell them to a percent.
+LEARNT_FROM = 4096
+# X is rebuilt once a prediction has moved so far [m]: then what is left of second order is below a micrometre.
+FAR = 2e-4
+# The search ends when no coordinate moves by more than this share of its noise, and twice the log likelihood of the
+# noise grows by no more than this.
+STILL, SAME_NOISE = 0.2, 1.0
+# Steps of the strengths per round.
+STRENGTH_STEPS = 4
+# Visits that hold to noise this well are believed in full.
+BELIEVED = 0.999
 
 
 @dataclass(frozen=True)
@@ -66,57 +73,27 @@ class _State:
     theta: Array
     variances: Array  # per group
     noise: Noise
-    weights: Array
+    form: Form | None  # None: not chosen yet
+    weights: Array  # of the visits learnt from, at last of all
     frame: Array
     active: Mask  # per parameter
 
 
 @dataclass(frozen=True)
-class Block:
-    """Some visits, linearised: rows (n, 3T), design (n, 3T, p) of the active parameters, data y + Xθ₀, levers."""
+class _Task:
+    """What does not change during the search; which: the visits learnt from."""
 
-    visits: slice
-    seen: Mask
-    rows: Mask
-    design: Array
-    data: Array
-    levers: Array
+    model: Model
+    recording: Recording
+    groups: Groups
+    which: Index
 
-
-class _Blocks:
-    """All visits about one θ₀, block by block; kept in memory where they fit."""
-
-    def __init__(self, model: Model, recording: Recording, state: _State) -> None:
-        self._model, self._recording = model, recording
-        self._theta, self._active, self._frame = state.theta.copy(), state.active.copy(), state.frame
-        numbers = recording.points.size * int(state.active.sum())
-        self._kept: list[Block] | None = list(self._make()) if numbers <= KEPT else None
-
-    def __iter__(self) -> Iterator[Block]:
-        return iter(self._kept) if self._kept is not None else self._make()
-
-    def _make(self) -> Iterator[Block]:
-        for start in range(0, len(self._recording), BLOCK):
-            visits = slice(start, min(start + BLOCK, len(self._recording)))
-            part = self._recording.subset(np.arange(visits.start, visits.stop))
-            seen = part.seen
-            lin = self._model.linearise(Situation.of(part), self._theta)
-            rows = np.repeat(seen, 3, axis=1)
-            design = lin.design.reshape(len(seen), rows.shape[1], -1)[:, :, self._active] * rows[..., None]
-            gap = np.where(seen[..., None], to_base(part.points, self._frame) - lin.positions, 0.0)
-            data = gap.reshape(len(seen), -1) + design @ self._theta[self._active]
-            yield Block(visits, seen, rows, design, data, lin.levers)
-
-    def normal_equations(self, noise: Noise, weights: Array) -> tuple[Array, Array]:
-        """XᵀR⁻¹X and XᵀR⁻¹y over the active parameters."""
-        size = int(self._active.sum()) + 1
-        gram = np.zeros((size, size))
-        for block in self:
-            root = np.linalg.inv(np.linalg.cholesky(noise.covariance(block.levers, block.seen, weights[block.visits])))
-            white = root @ np.concatenate([block.design, block.data[..., None]], axis=2)
-            flat = white.reshape(-1, size)
-            gram += flat.T @ flat
-        return gram[:-1, :-1], gram[:-1, -1]
+    def linearised(self, state: _State, which: Index | None = None) -> Linearisation:
+        """About the state's θ, after an error of the base was taken for the instrument's place where that is open."""
+        if self.model.machine.tracker.base is None:
+            state.theta, state.frame = _fold_base(self.model, state.theta, state.frame)
+        which = self.which if which is None else which
+        return Linearisation(self.model, self.recording, state.theta, state.frame, which)
 
 
 def estimate(
@@ -129,63 +106,96 @@ def estimate(
 
     Raises IdentificationFailed when no visit has a target.
     """
-    machine = model.machine
     used = np.asarray(recording.seen.any(axis=1))
     if not used.any():
         raise IdentificationFailed(f"{recording.source}: every target of every visit was lost")
-    recording = recording.subset(used)
+    if not used.all():
+        recording = recording.subset(used)
     model, frame = _start(model, recording)
-    groups = _Groups(model)
-    state = _first_state(model, recording, groups, frame)
-    inverse, kept = np.zeros((0, 0)), state.active
+    open_base = [f"geometric.{model.machine.frame_names[0]}."] if model.machine.tracker.base is None else []
+    groups = Groups.among(model.parameters(), held=open_base)
+    count = len(recording)
+    which = np.arange(count) if count <= LEARNT_FROM else np.linspace(0, count - 1, LEARNT_FROM).astype(int)
+    task = _Task(model, recording, groups, which)
+    state = _first_state(task, frame)
+    posterior, kept = _search(task, state, rounds, progress)
+    if count > len(which):
+        posterior, kept = _everything(task, state, kept)
+    if model.machine.tracker.base is None:
+        state.theta, state.frame = _fold_base(model, state.theta, state.frame)
+    if progress:
+        progress(rounds, rounds)
+    return _answer(task, state, posterior, kept, used)
+
+
+def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) -> tuple[Posterior, Mask]:
+    """Strengths, noise, outliers and θ₀, in turn until nothing moves; `state` holds them."""
+    groups, lines = task.groups, _lines(task.model)
+    seen = task.recording.seen[task.which]
+    rank, believed = pose_rank(seen), chi2.ppf(BELIEVED, 3 * seen.sum(axis=1))
+    linear = task.linearised(state)
     for turn in range(rounds):
         if progress:
             progress(turn, rounds)
         settled = turn >= 2
-        blocks = _Blocks(model, recording, state)
-        gram, moment = blocks.normal_equations(state.noise, state.weights)
-        before = state.theta
-        theta, inverse = _strengths(gram, moment, groups, state, 6 if settled else 4)
-        kept = state.active.copy()
-        state.theta = np.zeros_like(before)
-        state.theta[kept] = theta
-        previous = state.noise
-        update = NoiseUpdate(previous, recording.seen, settled)
-        distance = np.zeros(len(recording))
-        moved = 0.0
-        for block in blocks:
-            residual = block.data - block.design @ theta
-            half = (block.design.reshape(-1, len(inverse)) @ inverse).reshape(block.design.shape)
-            spread = half @ np.swapaxes(block.design, 1, 2)
-            weights = state.weights[block.visits]
-            update.add(block.levers, block.seen, residual, spread, weights)
-            distance[block.visits] = _distance(previous, block, residual, spread)
-            step = block.design @ (state.theta - before)[state.active]
-            moved = max(moved, float(np.abs(step).max()))
-        state.noise = update.result()
+        kept = state.active & lines if turn == 0 else state.active
+        gram, moment, whites = linear.normal_equations(state.noise, state.weights, kept)
+        state.variances, posterior = learn(gram, moment, groups, kept, state.variances, STRENGTH_STEPS)
+        before, state.theta = state.theta, np.zeros(len(kept))
+        state.theta[kept] = posterior.theta
+        judged = Judgement(len(task.which), linear.coordinates)
+        moved, since = (state.theta - before)[kept], (state.theta - linear.theta)[kept]
+        for white in whites or linear.whitened(state.noise, state.weights, kept):
+            judged.add(white, posterior, moved, since, state.weights)
+        previous, told = state.noise, np.inf
         if settled:
-            limit = chi2.ppf(0.999, 3 * recording.seen.sum(axis=1))
-            state.weights = np.minimum(1.0, limit / np.maximum(distance, 1e-12))
-        last = settled and moved < 2e-6 and previous.close_to(state.noise)
-        if not last:
-            _leave_out(gram, groups, state)
-        if machine.tracker.base is None:
-            state.theta, state.frame = _fold_base(model, state.theta, state.frame)
-        if last:
+            state.weights = np.minimum(1.0, believed / np.maximum(judged.distance(state.noise), 1e-12))
+            form = state.form if turn > 3 else None
+            state.form, state.noise, told = judged.noise(previous, rank, form)
+        else:
+            state.noise = judged.first_noise(previous, rank)
+        if settled and judged.moved < STILL and told < SAME_NOISE:
             break
-    if progress:
-        progress(rounds, rounds)
-    return _answer(model, groups, state, inverse, kept, used)
+        if turn > 0:
+            rows = linear.rows * level(previous, state.noise)
+            state.active = state.active & ~silent(gram, groups, kept, state.variances, rows)
+            state.theta = np.where(state.active, state.theta, 0.0)
+        if judged.far > FAR and turn < rounds - 1:
+            linear = task.linearised(state)
+    return posterior, kept
 
 
-def _answer(model: Model, groups: _Groups, state: _State, inverse: Array, kept: Mask, used: Mask) -> Estimate:
-    """`inverse` is the covariance of the parameters `kept` in the last round; the rest keep their prior."""
+def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask]:
+    """What was learnt from some visits, applied to all of them: whom to believe, then one solution."""
+    everyone = np.arange(len(task.recording))
+    linear = task.linearised(state, everyone)
+    state.weights = np.ones(len(everyone))
+    freedom = 3 * task.recording.seen.sum(axis=1)
+    for block in linear:
+        # at θ₀ itself no design is needed: the residual is the data less what their own linearisation adds
+        state.weights[block.visits] = chi2.ppf(BELIEVED, freedom[block.visits]) / block.distance(state.noise)
+    state.weights = np.minimum(1.0, state.weights)
+    gram, moment, _ = linear.normal_equations(state.noise, state.weights, kept)
+    state.variances, posterior = learn(gram, moment, task.groups, kept, state.variances, STRENGTH_STEPS)
+    state.theta = np.zeros(len(kept))
+    state.theta[kept] = posterior.theta
+    return posterior, kept
+
+
+def _lines(model: Model) -> Mask:
+    """(p,) constants, slopes, compliances, targets: what a first solution needs."""
+    return np.array([".band" not in p.group and not p.group.startswith("own.") for p in model.parameters()])
+
+
+def _answer(task: _Task, state: _State, posterior: Posterior, kept: Mask, used: Mask) -> Estimate:
+    """`posterior` is that of the parameters `kept`; the rest keep their prior."""
+    groups = task.groups
     covariance = np.diag(groups.scale**2 * state.variances[groups.of])
-    covariance[np.ix_(kept, kept)] = inverse
+    covariance[np.ix_(kept, kept)] = posterior.covariance(groups, kept)
     weights = np.zeros(len(used))
     weights[used] = state.weights
     strengths = dict(zip(groups.names, np.sqrt(state.variances).tolist(), strict=True))
-    return Estimate(model, state.theta, covariance, strengths, state.noise, state.frame, weights)
+    return Estimate(task.model, state.theta, covariance, strengths, state.noise, state.frame, weights)
 
 
 def _start(model: Model, recording: Recording) -> tuple[Model, Array]:
@@ -197,88 +207,16 @@ def _start(model: Model, recording: Recording) -> tuple[Model, Array]:
     return replace(model, machine=moved), frame
 
 
-def _first_state(model: Model, recording: Recording, groups: _Groups, frame: Array) -> _State:
+def _first_state(task: _Task, frame: Array) -> _State:
     """Before any fit: the noise is the maker's claim, or a share of what the ideal machine misses."""
-    machine = model.machine
-    theta = np.zeros(len(groups.scale))
-    gap = (to_base(recording.points, frame) - model.predict(Situation.of(recording), theta))[recording.seen]
+    machine, groups = task.model.machine, task.groups
+    theta, some = np.zeros(len(groups.scale)), task.recording.subset(task.which)
+    gap = (to_base(some.points, frame) - task.model.predict(Situation.of(some), theta))[some.seen]
     sigma = max((machine.repeatability or 1.4e-4) / 3, FIRST_NOISE_SHARE * float(np.sqrt((gap**2).mean())))
     noise = Noise(np.diag([sigma**2] * 6), machine.tracker.position_sigma)
+    variances = np.where(groups.held, LARGEST, 1.0) * groups.start**2
     everything = np.ones(len(theta), dtype=bool)
-    return _State(theta, groups.start**2, noise, np.ones(len(recording)), frame, everything)
-
-
-class _Groups:
-    """Which parameters share a prior variance: of (p,) index, scale (p,), and per group name and start."""
-
-    def __init__(self, model: Model) -> None:
-        parameters = model.parameters()
-        self.names = list(dict.fromkeys(p.group for p in parameters))
-        index = {name: k for k, name in enumerate(self.names)}
-        self.of = np.array([index[p.group] for p in parameters])
-        self.scale = np.array([p.scale for p in parameters])
-        self.start = np.zeros(len(self.names))
-        for p in parameters:
-            self.start[index[p.group]] = p.start
-
-
-def _strengths(gram: Array, moment: Array, groups: _Groups, state: _State, steps: int) -> tuple[Array, Array]:
-    """Prior variances by their fixed point; returns posterior mean and covariance of the active parameters."""
-    of, scale = groups.of[state.active], groups.scale[state.active]
-    for step in range(steps + 1):
-        prior = scale * np.sqrt(state.variances[of])
-        z, zz = _solve(gram, moment, prior)
-        if step < steps:
-            _update_variances(state, z, np.diag(zz), of, groups.start)
-    return prior * z, prior[:, None] * zz * prior
-
-
-def _solve(gram: Array, moment: Array, prior: Array) -> tuple[Array, Array]:
-    """Posterior mean and covariance of z = θ/prior, z ~ N(0, 1)."""
-    if not len(moment):  # everything was left out: LAPACK would complain on stderr
-        return np.zeros(0), np.zeros((0, 0))
-    precision = prior[:, None] * gram * prior
-    precision[np.diag_indices_from(precision)] += 1.0
-    factor = cho_factor(precision, lower=True)
-    mean = cho_solve(factor, prior * moment)
-    inverse, info = lapack.dpotri(factor[0], lower=1)
-    if info != 0:
-        raise IdentificationFailed(f"the normal equations are singular (dpotri {info})")
-    return mean, np.tril(inverse) + np.tril(inverse, -1).T
-
-
-def _update_variances(state: _State, z: Array, zz: Array, of: NDArray[np.int64], start: Array) -> None:
-    """MacKay's step where the data speak, the slower EM step where they hardly do."""
-    count = len(start)
-    size = np.bincount(of, minlength=count)
-    square = np.bincount(of, z**2, minlength=count)
-    spread = np.bincount(of, zz, minlength=count)
-    effective = size - spread
-    fast = square / np.maximum(effective, 1e-12)
-    slow = (square + spread) / np.maximum(size, 1)
-    factor = np.where(effective > 0.05 * size, fast, slow)
-    changed = np.clip(state.variances * np.clip(factor, 0.03, 30.0), SMALLEST * start**2, LARGEST * start**2)
-    state.variances = np.where(size > 0, changed, state.variances)
-
-
-def _leave_out(gram: Array, groups: _Groups, state: _State) -> None:
-    """Groups whose prior could hardly be seen through the noise, summed over all visits, are left out for good.
-
-    diag(gram)·prior² is the squared size, in units of the noise, that a parameter may have over the whole recording.
-    """
-    size = np.zeros(len(state.active))
-    size[state.active] = np.diag(gram)
-    seen = np.bincount(groups.of, size * groups.scale**2 * state.variances[groups.of], minlength=len(groups.names))
-    silent = seen < NEGLIGIBLE
-    state.active = state.active & ~silent[groups.of]
-    state.theta = np.where(state.active, state.theta, 0.0)
-
-
-def _distance(noise: Noise, block: Block, residual: Array, spread: Array) -> Array:
-    """Squared Mahalanobis distance of every visit, the model's own uncertainty included."""
-    ones = np.ones(len(residual))
-    whole = noise.covariance(block.levers, block.seen, ones) + spread
-    return np.asarray(np.einsum("ni,ni->n", residual, np.linalg.solve(whole, residual[..., None])[..., 0]))
+    return _State(theta, variances, noise, None, np.ones(len(task.which)), frame, everything)
 
 
 def _fold_base(model: Model, theta: Array, frame: Array) -> tuple[Array, Array]:

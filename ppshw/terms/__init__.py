@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ppshw.recording import Recording
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 COMPONENTS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
@@ -86,3 +87,15 @@ class FrameTerm(Protocol):
         """
 
     def as_dict(self) -> dict[str, Any]: ...
+
+
+@runtime_checkable
+class Fills(Protocol):
+    """A term that lays its columns out faster than by its regressors."""
+
+    def fill(self, out: Array, jacobian: Array, situation: Situation, wrenches: Array, which: Mask) -> None:
+        """`jacobian @ regressors(…)` of the parameters `which` (m,), written to `out` without the zeros in between.
+
+        jacobian  (N, R, 6) how R coordinates move with the frame's generalized error
+        out       (N, R, k) for the k parameters that are wanted
+        """

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS, Elastic
-from ppshw.terms import COMPONENTS, Parameter, Situation
+from ppshw.terms import COMPONENTS, Mask, Parameter, Situation
 from ppshw.terms.basis import Basis, basis_from_dict
 
 Array = NDArray[np.float64]
@@ -63,10 +63,7 @@ class Compliance:
         ]
 
     def regressors(self, situation: Situation, wrenches: Array) -> Array:
-        values = self.basis.values(situation.q[:, self.frame - 1])
-        acting = np.zeros(6)
-        acting[list(self.loads)] = 1.0
-        load = wrenches[:, self.frame] * acting
+        values, load = self._values(situation, wrenches)
         m = values.shape[1]
         out = np.zeros((len(values), 6, len(self.elements) * m))
         for k, (a, b) in enumerate(self.elements):
@@ -75,6 +72,25 @@ class Compliance:
             if a != b:
                 out[:, b, columns] = load[:, a, None] * values
         return out
+
+    def fill(self, out: Array, jacobian: Array, situation: Situation, wrenches: Array, which: Mask) -> None:
+        values, load = self._values(situation, wrenches)
+        at = 0
+        for (a, b), wanted in zip(self.elements, which.reshape(len(self.elements), -1), strict=True):
+            size = int(wanted.sum())
+            if size == 0:
+                continue
+            moved = jacobian[:, :, a] * load[:, b, None]
+            if a != b:
+                moved = moved + jacobian[:, :, b] * load[:, a, None]
+            np.multiply(moved[..., None], values[:, None, wanted], out=out[:, :, at : at + size])
+            at += size
+
+    def _values(self, situation: Situation, wrenches: Array) -> tuple[Array, Array]:
+        """The basis (N, m) at the joint's position, and the acting load (N, 6)."""
+        acting = np.zeros(6)
+        acting[list(self.loads)] = 1.0
+        return self.basis.values(situation.q[:, self.frame - 1]), wrenches[:, self.frame] * acting
 
     def as_dict(self) -> dict[str, Any]:
         return {

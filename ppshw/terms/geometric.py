@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.terms import COMPONENTS, Parameter, Situation
+from ppshw.terms import COMPONENTS, Mask, Parameter, Situation
 from ppshw.terms.basis import Basis, basis_from_dict
 
 Array = NDArray[np.float64]
@@ -51,6 +51,15 @@ class Geometric:
         for k in range(6):
             out[:, k, k * m : (k + 1) * m] = values
         return out
+
+    def fill(self, out: Array, jacobian: Array, situation: Situation, wrenches: Array, which: Mask) -> None:
+        x = situation.q[:, self.frame - 1] if self.frame > 0 else np.zeros(len(situation))
+        values = self.basis.values(x)[:, None]
+        at = 0
+        for k, wanted in enumerate(which.reshape(6, -1)):
+            size = int(wanted.sum())
+            np.multiply(jacobian[:, :, k, None], values[..., wanted], out=out[:, :, at : at + size])
+            at += size
 
     def as_dict(self) -> dict[str, Any]:
         return {"kind": self.kind, "frame": self.frame, "basis": self.basis.as_dict()}

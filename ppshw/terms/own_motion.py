@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.terms import Parameter, Situation
+from ppshw.terms import Mask, Parameter, Situation
 from ppshw.terms.basis import WIDENING
 
 Array = NDArray[np.float64]
@@ -64,6 +64,10 @@ class OwnMotion:
     def regressors(self, situation: Situation, wrenches: Array) -> Array:
         values = self.values(situation.q[:, self.frame - 1])
         return np.asarray(np.asarray(self.direction)[None, :, None] * values[:, None, :])
+
+    def fill(self, out: Array, jacobian: Array, situation: Situation, wrenches: Array, which: Mask) -> None:
+        values = self.values(situation.q[:, self.frame - 1])[:, None, which]
+        np.multiply((jacobian @ np.asarray(self.direction))[..., None], values, out=out)
 
     def as_dict(self) -> dict[str, Any]:
         return {
