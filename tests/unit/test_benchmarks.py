@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
         ("identify", ["bare gelsd", "ms per visit"]),
         ("compensate", ["ordinary scheduling", "In bulk"]),
         ("accuracy", ["| 67 |", "noise alone"]),
+        ("designed", ["| designed, 12 |", "noise alone"]),
     ],
 )
 def test_each_short_benchmark_prints_its_table_and_writes_nothing(command: str, expected: list[str]) -> None:
