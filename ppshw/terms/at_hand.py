@@ -65,6 +65,7 @@ class KnownEffects:
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
         self._looks_back = any(_looks_back(c) for c in columns)
+        self._creeps = any(e.name == "creep" for e in effects)
         self._bends = any(c.on == "frames" for c in columns)  # only those ask for the links' compliances
         self._compliance_at: tuple[Array, Array] | None = None
 
@@ -159,6 +160,11 @@ class KnownEffects:
         reference = dict(self._reference)
         start = reference.get("start", 0.0)
         time = self._times(moments)
+        if self._creeps:  # a load that nobody saw put on was put on an empty machine
+            moments = [replace(moments[0], payload=np.zeros(6), load="before"), *moments]
+            put_on = max(time[-1] - 3600.0 * reference.get("hours", math.inf), time[0] - 3600.0 * UNSAID_H)
+            time = np.concatenate([[min(2 * put_on - time[0], time[0])], time])
+            wrenches, chain, compliance = (np.concatenate([a[:1], a]) for a in (wrenches, chain, compliance))
         empty = np.zeros((len(moments), 0))
         return Context(
             machine, self._as_recording(moments, time), empty, wrenches, empty, empty, chain, compliance,

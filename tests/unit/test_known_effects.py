@@ -177,6 +177,19 @@ def test_creep_is_taken_out_where_the_age_of_the_load_is_known() -> None:
     assert "when the load was changed is not known; taken as 30 min ago" in nobody.effects[0].why
 
 
+def test_creep_that_a_run_brings_along_is_that_of_the_age_of_its_load() -> None:
+    """The whole late share counts, not its change since the run began: the base model holds what was long there."""
+    args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "log"}
+    compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+    move = compensator.setpoint_map()
+    here = move(BELOW, payload(), BELOW, Around(1.7e9, "box"))
+    there = move(POSE, payload(), here, Around(1.7e9 + 5400.0, "box"))
+    # put on half an hour before the run, as nobody says otherwise, and an hour and a half into it: two hours
+    asked_for = asked(compensator, loaded_for=7200.0).corrected
+    np.testing.assert_allclose(there, asked_for, atol=5e-7)  # the load is weighed at two poses
+    assert np.abs(there - asked(Compensator(base()[1])).corrected).max() > 1e-6
+
+
 # --- what cannot ------------------------------------------------------------------------------------------------------
 def test_a_drift_is_left_as_it_was_on_average_and_said() -> None:
     column = Column("frame", "clock", {"form": "linear", "tau": 1.0}, 0, TY)
