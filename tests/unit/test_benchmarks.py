@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
         ("identify", ["bare gelsd", "ms per visit"]),
         ("compensate", ["ordinary scheduling", "In bulk"]),
         ("accuracy", ["| 67 |", "noise alone"]),
+        ("coverage", ["| 100 |", "log score"]),
         ("designed", ["| designed, 12 |", "noise alone"]),
     ],
 )
