@@ -1,0 +1,199 @@
+"""The twin of a recording: what the model says the same visits would have read, noise included.
+
+Same poses, order, loads, times, temperatures and lost beams; only what the instrument read is simulated. The twin is
+the calibration's own: it shares every term with it, and none with the simulated hardware of `simulators.plant`. What a
+recording shows and replicas of its twin do not, the model does not know (`ppshw.diagnosis.checks`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ppshw.calibration import Calibration
+from ppshw.diagnosis.checks import Check, check
+from ppshw.diagnosis.replicas import Compared, Single, Wrong
+from ppshw.identification.start import to_base
+from ppshw.kinematics import point_jacobian
+from ppshw.recording import Recording, Table
+from ppshw.terms import Situation
+from ppshw.terms.shapes import Context
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+CHUNK = 400  # visits laid out at once
+SILENT = 1e-8  # a parameter whose uncertainty moves no target by as much [m] is taken as sure
+
+
+@dataclass(frozen=True)
+class Twin:
+    """points (N, T, 3) and extra_points name → (N, 3) in the measuring frame [m], nan where the beam was lost."""
+
+    points: Array
+    extra_points: dict[str, Array]
+
+
+def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> Twin:
+    """What the instrument would read at the visits of a recording if the calibration were the whole truth.
+
+        p = p̂(q, W) + Σ effects + B u + e,    u ~ N(0, pose), common to a visit;    e ~ N(0, instrument²)
+
+    Reflectors at points of interest share u with the targets of their visit. Noise that depends on settling time or
+    load is not part of a calibration, and not of the twin.
+    """
+    rng = np.random.default_rng(seed)
+    names = list(recording.extra_points)
+    context = _context(calibration, recording, [calibration.machine.points[n] for n in names])
+    count, size = len(recording), context.points.shape[1]
+    ideal = context.points + _effects(calibration, context).reshape(count, size, 3)
+    everything = np.ones((count, size), dtype=bool)
+    covariance = calibration.noise.covariance(_levers(context), everything, np.ones(count))
+    noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((count, 3 * size, 1)))[..., 0]
+    turn = calibration.measuring_in_base
+    read = (ideal + noise.reshape(ideal.shape) - turn[:3, 3]) @ turn[:3, :3]
+    targets = len(recording.target_names)
+    points = np.where(recording.seen[..., None], read[:, :targets], np.nan)
+    extra = {
+        n: np.where(np.isfinite(recording.extra_points[n]), read[:, targets + k], np.nan) for k, n in enumerate(names)
+    }
+    return Twin(points, extra)
+
+
+def twin_table(table: Table, recording: Recording, twin: Twin) -> Table:
+    """The recording's own table with the twin's readings (to a nanometre) in place of the measured ones."""
+    header = [name.strip() for name in table.header]
+    rows = [list(row) for row in table.rows]
+    readings = dict(zip(recording.target_names, np.moveaxis(twin.points, 1, 0), strict=True)) | twin.extra_points
+    for name, values in readings.items():
+        for axis in range(3):
+            if (column := f"{name}_{'xyz'[axis]}") in header:
+                at = header.index(column)
+                for row, value in zip(rows, values[:, axis], strict=True):
+                    if np.isfinite(value):
+                        row[at] = f"{value:.9f}"
+    return replace(table, rows=tuple(map(tuple, rows)))
+
+
+def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> list[Check]:
+    """The checks of a recording against replicas of its twin, the calibration as it stands: nothing is fitted.
+
+    Of the very recording that it was identified from, it already took what it could; of any other it may be wrong by
+    its own uncertainty. Both are in the replicas.
+    """
+    return check(compared(calibration, recording.subset(recording.seen.any(axis=1)), recording.sha256), seed)[0]
+
+
+def compared(calibration: Calibration, recording: Recording, sha256: str) -> Compared:
+    """What a calibration leaves of the visits of a recording, and how its own replicas come about.
+
+    sha256  of the whole recording: is it the one that the calibration was made from?
+    """
+    context = _context(calibration, recording)
+    count, seen = len(recording), recording.seen
+    rows = np.repeat(seen, 3, axis=1)
+    context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
+    covariance = calibration.noise.covariance(_levers(context), seen, np.ones(count))
+    root = np.linalg.inv(np.linalg.cholesky(covariance)) * (rows[:, :, None] & rows[:, None, :])
+    ideal = context.points.reshape(count, -1) + _effects(calibration, context)
+    read = to_base(recording.points, calibration.measuring_in_base).reshape(count, -1)
+    left = (root @ np.where(rows, read - ideal, 0.0)[..., None])[..., 0]
+    design, active = _design(calibration, recording, root)
+    if sha256 == calibration.provenance.get("recording_sha256"):
+        prior = _prior(calibration)[active]
+        if calibration.effects:
+            columns = np.stack([c.evaluate(context) for e in calibration.effects for c in e.columns], axis=2)
+            design = np.concatenate([design, (root @ columns).reshape(len(design), -1).astype(np.float32)], axis=1)
+            # as wide as what was found: a calibration does not keep what an effect was allowed to be
+            found = [np.hypot(v, s) for e in calibration.effects for v, s in zip(e.values, e.std, strict=True)]
+            prior = np.concatenate([prior, np.maximum(found, 1e-15)])
+        wrong = _fitted(design, prior)
+    else:
+        wrong = _known(_half(calibration.covariance[np.ix_(active, active)]).astype(np.float32))
+    return Compared(left, root, rows, np.ones(count), design, wrong, context)
+
+
+def _known(turned: Single) -> Wrong:
+    """Coefficients wrong by what the calibration says of itself, whatever the replica's noise. Effects are taken as
+    sure: a calibration keeps no covariance of them."""
+    return lambda noise, rng: rng.standard_normal((len(noise), turned.shape[1]), dtype=np.float32) @ turned.T
+
+
+def _fitted(design: Single, prior: Array) -> Wrong:
+    """Coefficients that were fitted to the replica itself: (DᵀD + Λ⁻¹)⁻¹ (Dᵀe − Λ^−½ z)."""
+    double = design.astype(float)  # single precision would drown what the visits hardly determine
+    factor = cho_factor(double.T @ double + np.diag(1.0 / prior**2), lower=True)
+
+    def wrong(noise: Single, rng: np.random.Generator) -> Single:
+        moment = np.asarray(noise @ design, dtype=float).T
+        moment -= rng.standard_normal(moment.shape) / prior[:, None]
+        return np.asarray(cho_solve(factor, moment).T, dtype=np.float32)
+
+    return wrong
+
+
+def _prior(calibration: Calibration) -> Array:
+    """(p,) prior standard deviations as learnt; where none was (the paper's method), far beyond the posterior's."""
+    std = np.sqrt(np.diag(calibration.covariance))
+    if not calibration.strengths:
+        return np.maximum(1e3 * std, 1e-15)
+    parameters = calibration.model.parameters()
+    return np.maximum([calibration.strengths[p.group] * p.scale for p in parameters], 1e-15)
+
+
+def _half(covariance: Array) -> Array:
+    """A square root; what rounding made negative is nothing."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _design(calibration: Calibration, recording: Recording, root: Array) -> tuple[Single, Mask]:
+    """Whitened columns (N·3T, k) of the parameters that the calibration is unsure of, and which those are (p,)."""
+    model, theta = calibration.model, calibration.theta
+    std = np.sqrt(np.diag(calibration.covariance))
+    parts, sizes = [], np.zeros(len(std))
+    for at in range(0, len(recording), CHUNK):
+        rows = np.arange(at, min(at + CHUNK, len(recording)))
+        lin = model.linearise(Situation.of(recording.subset(rows)), theta)
+        design = lin.design.reshape(len(rows), -1, len(std))
+        sizes = np.maximum(sizes, np.abs(design).max(axis=(0, 1)) * std)
+        parts.append((root[rows] @ design).astype(np.float32))
+    active = sizes > SILENT
+    white = np.concatenate(parts)[:, :, active]
+    return white.reshape(-1, white.shape[2]), active
+
+
+def _context(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Context:
+    """What shapes look at, for the targets and then for other points of the end effector (T + E in all)."""
+    model, theta = calibration.model, calibration.theta
+    c = Context.of(model, theta, recording, calibration.measuring_in_base, dict(calibration.reference))
+    if not len(others):
+        return c
+    more = np.einsum("nij,pj->npi", c.tips[:, :3, :3], np.array(others)) + c.tips[:, None, :3, 3]
+    points = np.concatenate([c.points, more], axis=1)
+    errors, _ = model.errors(Situation.of(recording), theta)
+    jacobian = point_jacobian(c.chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
+    return replace(c, points=points, jacobian=jacobian)
+
+
+def _effects(calibration: Calibration, context: Context) -> Array:
+    """(N, 3K) what the effects add, base axes [m]. A reflector that moved moves itself alone."""
+    out = np.zeros((len(context.points), context.points.shape[1] * 3))
+    for effect in calibration.effects:
+        for column, value in zip(effect.columns, effect.values, strict=True):
+            out += value * column.evaluate(context)
+    return out
+
+
+def _levers(context: Context) -> Array:
+    """(N, K, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint: see `Noise`."""
+    arms = context.points - context.tips[:, None, :3, 3]
+    out = np.zeros((*arms.shape, 6))
+    out[..., :3] = np.eye(3)
+    for axis in range(3):
+        out[..., 3 + axis] = np.cross(np.eye(3)[axis], arms)
+    joints = context.jacobian[:, :, 1:].reshape(*arms.shape, -1)
+    return np.concatenate([out, joints], axis=3)
