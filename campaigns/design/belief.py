@@ -58,6 +58,14 @@ def typical(machine: Machine, visits: int, point: Array) -> Belief:
     return Belief(model, np.zeros(len(strengths)), _free_base(model, strengths), noise, "a typical machine")
 
 
+def typical_of(machine: Machine, recording: Recording, point: Array) -> Belief:
+    """The same with the model that a recording of just these visits would be given."""
+    model = joint_model(machine, recording)
+    strengths = np.array([_typical_strength(p) for p in model.parameters()])
+    noise = _claimed_noise(machine, point)
+    return Belief(model, np.zeros(len(strengths)), _free_base(model, strengths), noise, "a typical machine")
+
+
 def learnt(machine: Machine, visits: int, groups: Mapping[str, float], noise: Noise, origin: str) -> Belief:
     """Strengths per group, and noise, that an estimate learnt; groups that it did not have are typical ones."""
     model = _model(machine, visits)

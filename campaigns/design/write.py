@@ -25,33 +25,33 @@ def script_text(design: Design, name: str, asked: str) -> str:
         f"{1e3 * design.floor:.3f} mm of noise alone.",
         f"# Travel {design.travel_s:.0f} s; no order of these visits and references needs less than "
         f"{design.bound_s:.0f} s.",
-        f"name: {_word(name)}",
+        f"name: {word(name)}",
         f"about: {design.visits} designed visits, {len(design.q)} poses and the reference pose in between",
         f"seed: {request.seed}",
-        f"home: {_joints(joints, design.reference)}",
+        f"home: {joints_text(joints, design.reference)}",
         f"reference: {{every: {design.every}, q: {{}}, closing: true}}",
         "loads:",
-        *(f"  - {_load(case)}" for k, case in enumerate(request.cases) if (design.load == k).any()),
+        *(f"  - {load_text(case)}" for k, case in enumerate(request.cases) if (design.load == k).any()),
         "steps:",
         "  - step: designed",
         "    kind: poses",
         "    poses:",
     ]
     for q, load in zip(design.q, design.load, strict=True):
-        lines.append(f"      - {{load: {_word(request.cases[load].name)}, q: {_joints(joints, q)}}}")
+        lines.append(f"      - {{load: {word(request.cases[load].name)}, q: {joints_text(joints, q)}}}")
     return "\n".join(lines) + "\n"
 
 
-def _joints(names: tuple[str, ...], q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    return "{" + ", ".join(f"{_word(name)}: {float(x) + 0.0:.4f}" for name, x in zip(names, q, strict=True)) + "}"
+def joints_text(names: tuple[str, ...], q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    return "{" + ", ".join(f"{word(name)}: {float(x) + 0.0:.4f}" for name, x in zip(names, q, strict=True)) + "}"
 
 
-def _load(case: LoadCase) -> str:
+def load_text(case: LoadCase) -> str:
     com = "" if case.mass == 0 else f", com: [{', '.join(f'{x:g}' for x in case.com)}]"
-    return f"{{name: {_word(case.name)}, mass: {case.mass:g}{com}}}"
+    return f"{{name: {word(case.name)}, mass: {case.mass:g}{com}}}"
 
 
-def _word(text: str) -> str:
+def word(text: str) -> str:
     """A text as YAML has it: in quotes where it would be read as something else."""
     return str(yaml.safe_dump(text, width=1000, allow_unicode=True)).splitlines()[0]
 

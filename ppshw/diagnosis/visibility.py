@@ -1,60 +1,228 @@
-"""What a recording can show: per effect and joint the share that the base model leaves visible, and the aliases."""
+"""What a recording can show, before any fit: per effect and joint the share that the base model leaves visible, the
+size that would be found, and what it could be taken for.
+
+A form with columns Z moves the reflectors by a field f = Z c. Of its fᵀ R⁻¹ f the base model leaves the noncentrality
+λ = fᵀ V⁻¹ f (docs/diagnosis.md §2); the score along f is then √λ + N(0, 1). An effect is found when the evidence of its
+name reaches what a first finding needs. That evidence grows as a u² − b with the score u, and b says what the name pays
+for the forms it tries; so the score needed is known, and 90 % are found from √λ = u + 1.28 on.
+"""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.evidence import Name, Tried
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.search import LEAST_FIRST
 from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
-# √λ at which nine of ten are found when everything in the library is tried: the null's reach and 1.28 beyond it.
+# Nine draws of ten of a standard normal are above −1.28.
+NINE_OF_TEN = 1.28
+# Scores at which a name's evidence is looked at, on both sides of where it becomes enough.
+LOOKED_AT = (4.0, 6.0)
+# √λ needed for a form that the base model takes whole: a middling figure, as nothing can be computed for it.
 SEEN_AT = 6.0
+# Names are aliases when so much of what one shows is what another can show as well.
 ALIAS = 0.9
 
 
-def visibility(space: Workspace, tried: Tried) -> list[dict[str, Any]]:
-    """One row per effect and joint, for its likeliest single-column form.
+@dataclass(frozen=True)
+class Sight:
+    """How well one name is seen, its forms weighed by their prior shares.
 
-    share          of the effect's squared size at the reflectors that is left after the base model
-    detectable_mm  rms at the reflectors that would be found with 90 % power
-    aliases        effects whose visible part is the same to within a correlation of 0.9
+    name        (effect, joint)
+    form        index of its typical form, the one of middling visibility
+    share       of the typical form's squared size that is left after the base model; shares: a tenth and nine tenths
+                of its forms lie below
+    seen_at     √λ of the typical form that 90 % find
+    detectable  rms at the reflectors that 90 % find [m], of the typical form; detectables: of its best and worst tenth
+    aliases     names a form of which shows ALIAS or more of what the typical form shows
     """
-    chosen = _representatives(tried)
-    index = np.array([tried.index[c][0] for c in chosen.values()])
-    plain, seen = tried.plain[index], tried.seen[index]
-    unit = tried.half[index] / np.maximum(np.sqrt(seen), 1e-30)[:, None]
-    alike = np.abs(unit @ unit.T)
+
+    name: Name
+    form: int
+    share: float
+    shares: tuple[float, float]
+    seen_at: float
+    detectable: float
+    detectables: tuple[float, float]
+    aliases: tuple[Name, ...]
+
+
+def visibility(space: Workspace, tried: Tried) -> list[dict[str, Any]]:
+    """One row per effect and joint (contract §4), of the form of middling visibility; `share_range` and
+    `detectable_range_mm`: what four fifths of its forms, weighed by their shares, lie within."""
+    return [row(sight) for sight in sights(tried)]
+
+
+def row(sight: Sight) -> dict[str, Any]:
+    """A sight in the contract's words; millimetres."""
+    return {
+        "effect": sight.name[0], "joint": sight.name[1], "share": sight.share,
+        "detectable_mm": sight.detectable * 1e3,
+        "aliases": sorted({effect for effect, _ in sight.aliases if effect != sight.name[0]}),
+        "share_range": list(sight.shares), "detectable_range_mm": [x * 1e3 for x in sight.detectables],
+    }  # fmt: skip
+
+
+def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
+    """How well every name is seen, given the base model alone.
+
+    weights  (C,) how many forms each candidate stands for; the candidates' shares by default
+    """
+    weights = np.array([k.share for k in tried.candidates]) if weights is None else weights
+    seen = np.array([tried.seen[i].mean() for i in tried.index])  # per unit rms of the form, columns weighed alike
+    shares = np.clip(seen / np.maximum([tried.plain[i].mean() for i in tried.index], 1e-30), 0.0, 1.0)
+    names = [j for j, name in enumerate(tried.names) if name[0] != "nameless"]
+    spread = [_by_visibility(np.flatnonzero(tried.name_of == j), seen, weights) for j in names]
+    forms = np.array([middle for _, middle, _ in spread], dtype=int)
+    if not len(forms):
+        return []
+    scores = across(tried, directions(tried, forms))
+    needed = _needed(tried, np.array(names), scores) + NINE_OF_TEN
+    needed[~np.isfinite(tried.log_share[forms])] = SEEN_AT  # nothing of the form is tried: for the order of magnitude
+    alike = mimicked(tried, scores)
     out = []
-    for k, (effect, joint) in enumerate(chosen):
-        aliases = sorted({
-            other for j, (other, _) in enumerate(chosen) if j != k and alike[k, j] > ALIAS and other != effect
-        })  # fmt: skip
-        share = float(np.clip(seen[k] / max(plain[k], 1e-30), 0.0, 1.0))
+    for a, (j, (low, middle, high)) in enumerate(zip(names, spread, strict=True)):
+        sizes = needed[a] / np.sqrt(np.maximum(seen[[high, middle, low]], 1e-12))
+        visible = np.isfinite(tried.log_share[middle])
+        aliases = tuple(tried.names[b] for b in names if visible and b != j and alike[a, b] > ALIAS)
         out.append(
-            {
-                "effect": effect, "joint": joint, "share": share,
-                "detectable_mm": float(SEEN_AT / np.sqrt(max(seen[k], 1e-12)) * 1e3), "aliases": aliases,
-            }
+            Sight(
+                tried.names[j], middle, float(shares[middle]), _tenths(tried.name_of == j, shares, weights),
+                float(needed[a]), float(sizes[1]), (float(sizes[0]), float(sizes[2])), aliases,
+            )
         )  # fmt: skip
     return out
 
 
-def _representatives(tried: Tried) -> dict[tuple[str, str | None], int]:
-    """Per name the candidate of fewest columns with the largest share."""
-    chosen: dict[tuple[str, str | None], int] = {}
-    for c, candidate in enumerate(tried.candidates):
-        if candidate.effect == "nameless":
-            continue
-        name = (candidate.effect, candidate.joint)
-        rank = (-len(candidate.columns), candidate.share)
-        if name not in chosen or rank > _rank(tried, chosen[name]):
-            chosen[name] = c
-    return chosen
+def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None) -> list[Name]:
+    """Names a form of which shows 90 % or more of what this one shows, given the base model alone.
+
+    form          index of the candidate that stands for the name (a finding's `best`); None: the typical one
+    coefficients  of the candidate's columns as fitted; None: all columns alike in rms at the reflectors
+    returns       names other than the asked one, the likeliest to be mistaken first; the same effect at another joint
+                  counts
+    """
+    if form is None:
+        seen = np.array([tried.seen[i].mean() for i in tried.index])
+        mine = np.flatnonzero(tried.name_of == tried.names.index(name))
+        form = _by_visibility(mine, seen, np.array([k.share for k in tried.candidates]))[1]
+    scale = tried.scale[tried.index[form]]
+    along = directions(tried, np.array([form]), None if coefficients is None else [coefficients * scale])
+    alike = mimicked(tried, across(tried, along))[0]
+    return [
+        tried.names[b] for b in np.argsort(-alike)
+        if alike[b] > ALIAS and tried.names[b] != name and tried.names[b][0] != "nameless"
+    ]  # fmt: skip
 
 
-def _rank(tried: Tried, c: int) -> tuple[int, float]:
-    return -len(tried.candidates[c].columns), tried.candidates[c].share
+def alias_words(name: Name, aliases: Sequence[Name]) -> str:
+    """What a finding's sentence says of its aliases; empty without."""
+    if not aliases:
+        return ""
+    said = [effect if joint in (None, name[1]) else f"{effect} of {joint}" for effect, joint in aliases[:3]]
+    more = "" if len(aliases) <= 3 else f" or {len(aliases) - 3} more"
+    return f" This recording cannot tell it from {', '.join(said)}{more}."
+
+
+def thinned(candidates: Sequence[Candidate], most: int = 12) -> tuple[list[Candidate], Array]:
+    """At most so many candidates of each name, drawn evenly along their summed shares, and how many draws fell on each.
+
+    The shares stay as they were: a period or a moment that stands for others still pays for them.
+    """
+    of_name: dict[Name, list[Candidate]] = {}
+    for k in candidates:
+        of_name.setdefault((k.effect, k.joint), []).append(k)
+    kept: list[Candidate] = []
+    weights: list[float] = []
+    for mine in of_name.values():
+        sums = np.cumsum([k.share for k in mine])
+        at = np.searchsorted(sums, (np.arange(most) + 0.5) / most * sums[-1])
+        chosen, times = np.unique(np.minimum(at, len(mine) - 1), return_counts=True)
+        kept += [mine[c] for c in chosen]
+        weights += times.tolist()
+    return kept, np.array(weights, dtype=float)
+
+
+def _by_visibility(mine: NDArray[np.int64], seen: Array, weights: Array) -> tuple[int, int, int]:
+    """The candidates of a name that a tenth, half and nine tenths of its weight are seen worse than."""
+    order = mine[np.argsort(seen[mine], kind="stable")]
+    sums = np.cumsum(weights[order])
+    at = np.searchsorted(sums, np.array([0.1, 0.5, 0.9]) * sums[-1])
+    low, middle, high = order[np.minimum(at, len(order) - 1)]
+    return int(low), int(middle), int(high)
+
+
+def _tenths(mine: NDArray[np.bool_], values: Array, weights: Array) -> tuple[float, float]:
+    """What a tenth and nine tenths of the weight lie below."""
+    order = np.argsort(values[mine], kind="stable")
+    sums = np.cumsum(weights[mine][order])
+    at = np.searchsorted(sums, np.array([0.1, 0.9]) * sums[-1])
+    low, high = values[mine][order][np.minimum(at, len(order) - 1)]
+    return float(low), float(high)
+
+
+def directions(tried: Tried, forms: NDArray[np.int64], coefficients: Sequence[Array] | None = None) -> Array:
+    """(F, R) what each form shows once the base model had its share, in whitened readings, of unit length.
+
+    coefficients  of each form's columns at unit rms; all alike by default
+    """
+    out = np.empty((len(forms), tried.half.shape[1]))
+    for k, form in enumerate(forms):
+        columns = tried.half[tried.index[form]].astype(float)
+        whole = columns.sum(axis=0) if coefficients is None else coefficients[k] @ columns
+        out[k] = whole / max(float(np.linalg.norm(whole)), 1e-12)
+    return out
+
+
+def across(tried: Tried, along: Array) -> Array:
+    """(F, K) scores of all columns for fields along the directions, √λ = 1."""
+    return np.asarray((tried.half @ along.T.astype(np.float32)).T, dtype=float)
+
+
+def evidence_alone(tried: Tried, scores: Array) -> Array:
+    """(D, C) evidence given the base model alone, whatever was taken up since."""
+    alone = copy.copy(tried)
+    alone._info = tried._info0
+    return alone.evidence(scores)
+
+
+def _needed(tried: Tried, names: NDArray[np.int64], scores: Array) -> Array:
+    """(F,) the score along each name's form at which the evidence of the name is enough for a first finding."""
+    values = []
+    for u in LOOKED_AT:
+        evidence = tried.by_name(evidence_alone(tried, u * scores))
+        values.append(evidence[np.arange(len(names)), names])
+    one, two = LOOKED_AT
+    finite = np.isfinite(values[0]) & np.isfinite(values[1])
+    low, high = (np.where(finite, v, 0.0) for v in values)
+    slope = (high - low) / (two**2 - one**2)
+    good = finite & (slope > 0)
+    square = one**2 + (LEAST_FIRST - low) / np.where(good, slope, 1.0)
+    return np.where(good, np.sqrt(np.clip(square, 1.0, 400.0)), SEEN_AT - NINE_OF_TEN)
+
+
+def mimicked(tried: Tried, scores: Array) -> Array:
+    """(F, names) the largest share of what each direction shows that a single form of another name shows as well:
+
+        gᵀ I⁻¹ g,   g the scores of the form's columns, I their information      (squared multiple correlation)
+    """
+    out = np.zeros((len(scores), len(tried.names)))
+    for batch, info in zip(tried._batches, tried._info0, strict=True):
+        g = scores[:, batch.columns].transpose(1, 2, 0)  # (C, k, F)
+        rounding = 1e-6 * np.einsum("ckk->ck", info) + 1e-30
+        inner = np.linalg.solve(info + rounding[:, :, None] * np.eye(info.shape[1]), g)
+        alike = np.einsum("ckf,ckf->cf", g, inner)
+        alike = np.where(np.isfinite(tried.log_share[batch.which])[:, None], alike, 0.0)
+        of = tried.name_of[batch.which]
+        for j in np.unique(of):
+            out[:, j] = np.maximum(out[:, j], alike[of == j].max(axis=0))
+    return np.minimum(out, 1.0)
