@@ -1,15 +1,19 @@
 """What a study has finished, one JSON line per job, so that the same command again goes on where it stopped.
 
-    {"ppshw": "0.1.0", "function": "module:name", "key": …, "arguments": {…}, "seconds": 1.2, "result": {…}}
+    {"code": "0.1.0 3f2a…", "function": "module:name", "key": …, "arguments": {…}, "seconds": 1.2, "result": {…}}
 
-A line is there whole or not at all: what a killed process left of its last line is cut off.
+A line is there whole or not at all: what a killed process left of its last line is cut off. Results of different code
+are not mixed: `code` is the version and a hash of our source files.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,6 +22,18 @@ from ppshw.errors import BadInput
 from ppshw.recording_file import only_writer
 
 Json = dict[str, Any]
+
+
+@cache
+def code() -> str:
+    """The version, and a hash of the sources that make results."""
+    digest = hashlib.sha256()
+    for package in ("ppshw", "campaigns", "simulators"):
+        spec = find_spec(package)
+        for folder in (spec.submodule_search_locations or []) if spec else []:
+            for file in sorted(Path(folder).rglob("*.py")):
+                digest.update(file.read_bytes())
+    return f"{__version__} {digest.hexdigest()[:12]}"
 
 
 class Journal:
@@ -44,7 +60,7 @@ class Journal:
         line = self._lines.get(key)
         if line is None:
             return None
-        mine = {"ppshw": __version__, "function": self._function, "arguments": json.loads(json.dumps(arguments))}
+        mine = {"code": code(), "function": self._function, "arguments": json.loads(json.dumps(arguments))}
         for what, expected in mine.items():
             if line[what] != expected:
                 raise BadInput(
@@ -56,7 +72,7 @@ class Journal:
     def add(self, key: str, arguments: Json, result: Json, seconds: float) -> Json:
         """Write it down; returns it as it will be read again."""
         line = {
-            "ppshw": __version__, "function": self._function, "key": key, "arguments": arguments,
+            "code": code(), "function": self._function, "key": key, "arguments": arguments,
             "seconds": seconds, "result": result,
         }  # fmt: skip
         text = json.dumps(line)
@@ -77,7 +93,7 @@ def _read(path: Path) -> dict[str, Json]:
     for number, text in enumerate(whole[:end].decode("utf-8").splitlines(), start=1):
         try:
             line = json.loads(text)
-            out[line["key"]] = {k: line[k] for k in ("ppshw", "function", "arguments", "seconds", "result")}
+            out[line["key"]] = {k: line[k] for k in ("code", "function", "arguments", "seconds", "result")}
         except (ValueError, KeyError, TypeError):
             raise BadInput(f"{path}:{number}: no line of a study's journal, expected another folder") from None
     return out

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ppshw import __version__
 from ppshw.errors import BadInput, PpshwError
 from ppshw.studies.engine import Cluster, Function, Job, Outcome, Say, run_jobs
+from ppshw.studies.journal import code
 
 Json = dict[str, Any]
 Rows = list[dict[str, Any]]
@@ -67,7 +67,7 @@ def run_study(
     rows, more = study.summarise(outcome)
     times = list(outcome.seconds.values())
     document = {
-        "study": study.name, "ppshw": __version__, "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
+        "study": study.name, "code": code(), "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
         "seconds_per_job": round(sum(times) / len(times), 3), "lost": outcome.lost, "rows": rows, **more,
     }  # fmt: skip
     (out / f"{study.name}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")

@@ -134,13 +134,16 @@ def test_what_a_killed_study_had_finished_is_kept(tmp_path: Path) -> None:
     assert found.results == {f"seed{k}": thrown(k) for k in range(3)}
 
 
-def test_a_journal_of_other_arguments_or_another_function_is_refused(tmp_path: Path) -> None:
+def test_a_journal_of_other_arguments_another_function_or_other_code_is_refused(tmp_path: Path) -> None:
     journal = tmp_path / "results.jsonl"
     run_jobs(study_jobs.dice, jobs(2, throws=4), journal, HERE)
     with pytest.raises(BadInput, match=r"'seed0' was made with arguments .*'throws': 4.*'throws': 5"):
         run_jobs(study_jobs.dice, jobs(2, throws=5), journal, HERE)
     with pytest.raises(BadInput, match="made with function study_jobs:dice, here it is study_jobs:complains"):
         run_jobs(study_jobs.complains, jobs(2, throws=4), journal, HERE)
+    journal.write_text(journal.read_text().replace('"code": "', '"code": "0.0.9 '))
+    with pytest.raises(BadInput, match=r"'seed0' was made with code 0\.0\.9 .*; expected another folder"):
+        run_jobs(study_jobs.dice, jobs(2, throws=4), journal, HERE)
     journal.write_text("throws, 4\n")
     with pytest.raises(BadInput, match=r"results.jsonl:1: no line of a study's journal"):
         run_jobs(study_jobs.dice, jobs(2), journal, HERE)
