@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_finding, still_gross
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
 from ppshw.diagnosis.library import Candidate, library, nameless
 from ppshw.diagnosis.search import Found, search
 from ppshw.diagnosis.visibility import visibility
@@ -59,26 +59,36 @@ def diagnose(
     tell(0, 10)
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
+    # what swings more than the rest counts less, or its visits would be called wrong and its swings an effect
+    spread = _spread(space, without, seed)
+    if spread is not None:
+        space = prepare(machine, recording, everything, space.base, spread)
     gross = gross_errors(space)
     believed = everything.copy()
     if gross.visits:
         believed[list(gross.visits)] = False
-        space = prepare(machine, recording, believed)
+        space = prepare(machine, recording, believed, None, spread)
     tell(2, 10)
     tried, found = _look(space, without, seed, lambda k: tell(2 + k, 10))
     if found:
         # strengths and noise were learnt beside the effect; learn them again without it, and look once more
+        spread = _spread(space, without, seed)
         gross = still_gross(space, gross)
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
-        space = prepare(machine, recording, believed, base)
+        space = prepare(machine, recording, believed, base, spread)
         tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
-    scatter = None if "unsettled" in without else scatter_finding(space, seed)
+    scatter = None if "unsettled" in without else scatter_of(space, seed)
     space = space.as_learnt()
-    answer = _answer(space, tried, found, gross, scatter)
+    answer = _answer(space, tried, found, gross, None if scatter is None else scatter.finding)
     tell(10, 10)
     return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])
+
+
+def _spread(space: Workspace, without: frozenset[str], seed: int) -> Array | None:
+    found = None if "unsettled" in without else scatter_of(space, seed)
+    return None if found is None else found.spread
 
 
 def _look(

@@ -99,9 +99,17 @@ def _swap(space: Workspace, visit: int) -> tuple[str, ...]:
     return ()
 
 
-def scatter_finding(space: Workspace, seed: int) -> dict[str, Any] | None:
+@dataclass(frozen=True)
+class Scatter:
+    """finding: the contract's; spread: (N,) how many times as large as in the middle the noise of a visit is."""
+
+    finding: dict[str, Any]
+    spread: Array
+
+
+def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     """Does the scatter depend on settling time, load or the length of the move? By random exchange of whole visits."""
-    residual = corrected_residual(space)
+    residual = corrected_residual(space) * space.spread[space.fit, None]
     r = space.recording
     size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
     size = size - size.mean()
@@ -112,11 +120,15 @@ def scatter_finding(space: Workspace, seed: int) -> dict[str, Any] | None:
         columns["settle_s"] = r.settle_s
     if r.has_wrench and np.ptp(r.wrench, axis=0).max() > 0:
         columns["load"] = np.linalg.norm(r.wrench[:, :3], axis=1)
+        columns["load squared"] = columns["load"] ** 2
     span = np.maximum(np.ptp(r.q, axis=0), 1e-9)
-    columns["move length"] = np.concatenate([[0.0], np.abs(np.diff(r.q, axis=0) / span).max(axis=1)])
-    matrix = np.stack([v[space.fit] for v in columns.values()], axis=1)
-    matrix = matrix - matrix.mean(axis=0)
-    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
+    moved = np.concatenate([np.zeros((1, r.q.shape[1])), np.abs(np.diff(r.q, axis=0) / span)])
+    columns["move length"] = moved.max(axis=1)
+    columns |= {f"move_{name}": moved[:, k] for k, name in enumerate(space.machine.joint_names) if moved[:, k].any()}
+    whole = np.stack(list(columns.values()), axis=1)
+    whole = whole - whole[space.fit].mean(axis=0)
+    whole = whole / np.maximum(np.linalg.norm(whole[space.fit], axis=0), 1e-30)
+    matrix = whole[space.fit]
     strength = matrix.T @ size
     rng = np.random.default_rng(seed)
     null = np.array([np.abs(matrix.T @ rng.permutation(size)).max() for _ in range(PERMUTATIONS)])
@@ -124,12 +136,13 @@ def scatter_finding(space: Workspace, seed: int) -> dict[str, Any] | None:
     p = (1 + int((null >= abs(strength[k])).sum())) / (PERMUTATIONS + 1)
     if p > SCATTER:
         return None
-    name = list(columns)[k].split(" exp")[0]
+    name = list(columns)[k].removesuffix(" squared").split(" exp")[0]
     more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
-    return {
+    finding = {
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
         "p_value": p, "rms_mm": None, "weight": 1.0, "alternatives": [],
         "sentence": f"the scatter depends on {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
+    return Scatter(finding, np.exp(whole[:, k] * strength[k] / 2))

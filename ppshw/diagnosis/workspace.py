@@ -41,6 +41,7 @@ class Workspace:
     data       (N, 3T)            measured − predicted + design θ
     root       (N, 3T, 3T)        L⁻¹ of the noise covariance, so that root·(noise) is white; 0 for lost targets
     prior      (p,)               prior standard deviations of the base model's parameters, `caution` times as learnt
+    spread     (N,)               how many times its usual size the noise of a visit is taken to have
     active     which of all the base model's parameters the p columns are
     taken      (N, 3T, k), taken_prior (k,): columns of findings that were taken up
     """
@@ -56,6 +57,7 @@ class Workspace:
     prior: Array
     active: Mask
     caution: float
+    spread: Array
     taken: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     taken_prior: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -129,7 +131,9 @@ def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
     return [which == k for k in range(number)]
 
 
-def prepare(machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None) -> Workspace:
+def prepare(
+    machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, spread: Array | None = None
+) -> Workspace:
     """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before."""
     base = base or estimate(joint_model(machine, recording), recording.subset(fit))
     model, situation = base.model, Situation.of(recording)
@@ -147,9 +151,11 @@ def prepare(machine: Machine, recording: Recording, fit: Mask, base: Estimate | 
     root = root * (rows[:, :, None] & rows[:, None, :])
     weights = np.ones(count)
     weights[fit] = np.maximum(base.weights, 1e-3)
-    root = root * np.sqrt(weights)[:, None, None]
+    spread = np.ones(count) if spread is None else spread
+    root = root * (np.sqrt(weights) / spread)[:, None, None]
     context = Context.of(model, base.theta, recording, base.measuring_in_base)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     return Workspace(
-        machine, recording, fit, base, context, design, data, root, CAUTION * strengths[active], active, CAUTION
+        machine, recording, fit, base, context, design, data, root, CAUTION * strengths[active], active, CAUTION,
+        spread,
     )

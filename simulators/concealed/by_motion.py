@@ -61,10 +61,11 @@ def friction_hysteresis(scene: Scene, rng: np.random.Generator) -> Concealed:
     """The drive winds up before it slips: behind by an amount that grows with the way since the last reversal.
 
     Maxwell slip  springs in parallel, each slipping at a way of its own    (Lampaert, Swevers & Al-Bender 2002)
-    Dahl          dz = dq (1 − sgn(dq) z)/w: approaches full friction exponentially      (Dahl 1968)
+    Bouc-Wen      dz = dq (1 − |z|ⁿ (½ + ½ sgn(dq z)))/w: gives way late (n > 1) or early (n < 1), and returns along a
+                  straight line                                                      (Wen 1976, with β = γ)
     """
     k, name = _pick(scene, rng)
-    form = str(rng.choice(["Maxwell slip", "Dahl"]))
+    form = str(rng.choice(["Maxwell slip", "Bouc-Wen"]))
     twist, component = scene.own_freedom(k)
     count = int(rng.integers(3, 6)) if form == "Maxwell slip" else 0
     breakaway, share = np.zeros(0), np.zeros(0)
@@ -74,6 +75,7 @@ def friction_hysteresis(scene: Scene, rng: np.random.Generator) -> Concealed:
         way = float(share @ breakaway)
     else:
         way = scene.travel(k) * float(np.exp(rng.uniform(np.log(0.05), np.log(0.25))))
+    exponent = float(rng.choice([0.6, 1.7, 2.5]))
 
     def state(s: Scene) -> Array:
         steps = _way(s.campaign.before[0, k], s.campaign.commanded[:, k])
@@ -83,8 +85,11 @@ def friction_hysteresis(scene: Scene, rng: np.random.Generator) -> Concealed:
                 z = np.clip(z + step, -breakaway, breakaway)
                 out[v] = share @ (z / breakaway)
             else:
-                wall = float(np.sign(step))
-                one = wall + (one - wall) * float(np.exp(-abs(step) / way)) if step else one
+                way_left = float(np.clip(step / way, -15.0, 15.0))  # 15 ways on, nothing changes any more
+                parts = int(np.ceil(abs(way_left) / 0.05))
+                for _ in range(parts):  # by midpoints
+                    half = one + 0.5 * way_left / parts * _yielding(one, way_left, exponent)
+                    one = float(np.clip(one + way_left / parts * _yielding(half, way_left, exponent), -1.0, 1.0))
                 out[v] = one
         return out
 
@@ -93,6 +98,10 @@ def friction_hysteresis(scene: Scene, rng: np.random.Generator) -> Concealed:
         lambda s, size: Change(eps=s.eps(k, -size * state(s)[:, None] * twist)),
         lambda size: {"wind_up": size, "way": way},
     )  # fmt: skip
+
+
+def _yielding(state: float, step: float, exponent: float) -> float:
+    return 1.0 - (abs(state) ** exponent if state * step > 0 else 0.0)
 
 
 def periodic_transmission(scene: Scene, rng: np.random.Generator) -> Concealed:
