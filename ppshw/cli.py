@@ -36,6 +36,7 @@ _BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDI
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
+TWINNED_PER_S = 250.0
 _NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
 
 
@@ -326,17 +327,23 @@ def report(a: argparse.Namespace) -> None:
 def diagnose(a: argparse.Namespace) -> None:
     """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
     from ppshw.diagnosis import diagnose as run
+    from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.modelled import extended
     from ppshw.recording import load_recording
 
     machine = _machine(a)
     recording = load_recording(a.rec, machine)
-    for out in (a.json, a.out):
+    for out in (a.json, a.out, a.page):
         if out is not None:
             _new_file(out, a.rec, a.machine)
     with Bar() as bar:
         found = run(machine, recording, progress=lambda k, n: bar("diagnose", k, n))
     answer = found.answer
+    if a.page is not None:
+        from ppshw.report.diagnosis import write_diagnosis
+
+        with Bar() as bar, bar.expect("page", REPORT_S):
+            write_diagnosis(found, Path(a.page))
     if a.out is not None:
         extended(found.space, found.found).save(a.out)
     with _written_whole(Path(a.json)) as partial:
@@ -348,7 +355,38 @@ def diagnose(a: argparse.Namespace) -> None:
         lines.append(f"  unexplained structure over {' and '.join(answer['unexplained']['covariates'])}")
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
+    lines.append(f"by the base model {sentence(answer['checks']['before'])}")
+    if answer["findings"] or answer["unexplained"] is not None:
+        lines.append(f"with what was found {sentence(answer['checks']['after'])}")
+    lines += [f"page {a.page}"] if a.page else []
     print("\n".join(lines))
+
+
+def twin(a: argparse.Namespace) -> None:
+    """twin: the visits of a recording, simulated by a calibration; and whether the recording is like that."""
+    from ppshw.calibration import load_calibration
+    from ppshw.diagnosis.checks import sentence
+    from ppshw.evaluation import figures, residuals
+    from ppshw.recording import check_machine, parse_table, read_table
+    from ppshw.twin import compare, simulate, twin_table
+
+    machine = _machine(a)
+    calibration = load_calibration(a.calibration, machine)
+    out = _new_file(a.out, a.rec, machine.file, a.calibration)
+    table = read_table(a.rec)
+    check_machine(table, machine)
+    recording = parse_table(table, machine)
+    with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
+        made = twin_table(table, recording, simulate(calibration, recording, a.seed))
+        checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]
+    with _written_whole(out) as partial:
+        partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
+    twin = figures(residuals(parse_table(made, machine), calibration))
+    answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
+              "recording": figures(residuals(recording, calibration)), "twin": twin, "checks": checks}  # fmt: skip
+    lines = [f"{a.out}: {len(recording)} visits; residuals of the calibration [mm]", _FIGURE_HEAD]
+    lines += [_figure_row(name, answer[name]) for name in ("recording", "twin")]
+    _say(a, answer, "\n".join([*lines, f"the recording is {sentence(checks)}"]))
 
 
 def prove(a: argparse.Namespace) -> None:
@@ -714,6 +752,14 @@ def _parser() -> argparse.ArgumentParser:
     machine(p)
     p.add_argument("--json", required=True, metavar="OUT.json", help="the answer")
     p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
+    p.add_argument("--page", metavar="OUT.html", help="a page with pictures: where it sits, what was found, how sure")
+
+    p = add("twin", twin, "what a calibration says the visits of a recording would have read, and whether they did")
+    p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
+    machine(p)
+    p.add_argument("--calibration", required=True, metavar="CAL.json", help="with its effects, if it has any")
+    p.add_argument("--out", required=True, metavar="TWIN.csv", help="the recording with simulated readings")
+    p.add_argument("--seed", type=_seed, default=0, help="of its noise (default: 0)")
 
     p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
     p.add_argument("--out", required=True, metavar="DIR")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
 from ppshw.diagnosis.library import Candidate, library, nameless
@@ -82,6 +83,7 @@ def diagnose(
     scatter = None if "unsettled" in without else scatter_of(space, seed)
     space = space.as_learnt()
     answer = _answer(space, tried, found, gross, None if scatter is None else scatter.finding)
+    answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
     return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])
 

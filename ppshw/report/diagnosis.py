@@ -1,0 +1,226 @@
+"""One page about a diagnosis: what was found and how sure, and the pictures that show where it sits."""
+
+from __future__ import annotations
+
+import os
+from copy import copy
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from numpy.typing import NDArray
+
+from ppshw.diagnosis import Diagnosis
+from ppshw.diagnosis.checks import ODD, check, sentence
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.locate import Map, gradients
+from ppshw.diagnosis.replicas import Compared, of_space
+from ppshw.diagnosis.search import Found
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.errors import ReportError
+from ppshw.report import residuals
+from ppshw.report.picture import Picture
+from ppshw.terms.shapes import Context, named_column
+
+Array = NDArray[np.float64]
+NAME = "diagnosis.html"
+VERDICTS = {
+    "consistent": "The model describes this recording: nothing is missing beyond noise.",
+    "missing_physics": "The model leaves something out, and what it is has names.",
+    "unexplained": "The model leaves something out that no known effect explains.",
+}
+MOST_ROWS = 60  # of the table of what can be seen
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One finding: what is said of it, its size with and without it, and its picture."""
+
+    title: str
+    said: dict[str, Any] | None
+    without_mm: float
+    with_mm: float
+    rows: list[tuple[str, str]]
+    picture: Picture
+
+
+def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = None) -> None:
+    """Write the page, whole or not at all. Raises ReportError where it cannot be written."""
+    text = render(diagnosis, now or datetime.now(UTC))
+    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as exc:
+        partial.unlink(missing_ok=True)
+        raise ReportError(f"{path}: cannot be written ({exc.strerror})") from None
+
+
+def render(diagnosis: Diagnosis, now: datetime) -> str:
+    answer, space = diagnosis.answer, diagnosis.space
+    units = {f"q_{j.name}": j.unit for j in space.machine.joints}
+    compared = of_space(space, found=False)
+    located = check(compared)[1]
+    environment = Environment(
+        loader=PackageLoader("ppshw.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("diagnosis.html.j2").render(
+        machine=space.machine,
+        recording=Path(space.recording.source).name,
+        sha256=space.recording.sha256,
+        now=now,
+        answer=answer,
+        verdict=VERDICTS[answer["verdict"]],
+        map=residuals.strength_map(located),
+        located=_said(located),
+        dependences=_dependences(compared, located, units),
+        findings=_findings(diagnosis, located, units),
+        others=[f for f in answer["findings"] if f["effect"] in ("outliers", "unsettled")],
+        visible=sorted(answer["visibility"], key=lambda r: r["detectable_mm"])[:MOST_ROWS],
+        checks=_checks(answer["checks"]),
+        checks_picture=residuals.checks_picture(answer["checks"]["before"], answer["checks"]["after"]),
+        said={when: sentence(answer["checks"][when]) for when in ("before", "after")},
+        odd=ODD,
+    )
+
+
+def _said(located: Map) -> str:
+    """What the map says, in words."""
+    (row, column), *_ = located.strongest(1)
+    where = located.channels[column]
+    strength = float(located.strength[row, column])
+    if strength <= located.threshold:
+        return (
+            f"No dependence stands out of the noise. The strongest of {located.strength.size} looked at, "
+            f"{where.frame} {where.component} over {located.covariates[row].label}, is one that noise alone reaches in "
+            f"{located.p:.0%} of recordings."
+        )
+    return (
+        f"The residual depends most on {located.covariates[row].label}, read as {where.frame} {where.component}: "
+        f"{strength:.1f} standard deviations above what noise gives, where one recording in twenty reaches "
+        f"{located.threshold:.1f} anywhere in the map. No effect has been named to find this."
+    )
+
+
+def _dependences(compared: Compared, located: Map, units: dict[str, str]) -> list[Picture]:
+    """Over the two columns that it depends on most; over time; and over the travel of the joint that stands out."""
+    strongest = located.strongest(2)
+    drawn = []
+    for row, column in strongest:
+        reading = residuals.read(compared, located.channels, column)
+        drawn.append(residuals.dependence(reading, located.covariates[row], compared.context, units))
+    reading = residuals.read(compared, located.channels, strongest[0][1])
+    names = {n for row, _ in strongest for n in located.covariates[row].names if len(located.covariates[row].names) < 2}
+    frame = reading.channel.frame
+    joint = frame if f"q_{frame}" in units else compared.recording.joint_names[0]
+    for name in ("time", f"q_{joint}"):
+        if name not in names:
+            drawn.append(residuals.over(reading, name, np.asarray(named_column(compared.context, name)), units))
+    return drawn
+
+
+def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list[Shown]:
+    if not diagnosis.found:
+        return []
+    space = diagnosis.space
+    compared = of_space(space)
+    gradient = gradients(compared)
+    whole = _rms(space)
+    out = []
+    for f, candidate in diagnosis.found:
+        displaced = _displaced(space, f, candidate)[space.fit]
+        which = _channel(compared, gradient, located, candidate, displaced)
+        reading = residuals.read(compared, located.channels, which, displaced)
+        white = (compared.root @ displaced[..., None])[..., 0]
+        fitted = (white * gradient[:, :, which]).sum(axis=1) / np.maximum(reading.weights, 1e-30) * 1e6
+        x, label = _abscissa(compared.context, candidate)
+        named = candidate.effect != "nameless"
+        said = next((a for a in diagnosis.answer["findings"] if named and a["effect"] == candidate.effect
+                     and a["joint"] == candidate.joint), None)  # fmt: skip
+        title = f"{candidate.effect.replace('_', ' ') if named else 'Structure without a name'}"
+        title += f", {candidate.joint}" if candidate.joint else ""
+        picture = residuals.over(
+            reading, label, x, units, fitted, f"Partial residual and fitted curve, {reading.channel.frame} "
+            f"{reading.channel.component}",
+        )  # fmt: skip
+        out.append(Shown(title, said, _rms(space, f, candidate), whole, _rows(diagnosis, said), picture))
+    return out
+
+
+def _slice(f: Found, candidate: Candidate) -> slice:
+    return slice(f.at, f.at + len(candidate.columns) + len(f.near))
+
+
+def _displaced(space: Workspace, f: Found, candidate: Candidate) -> Array:
+    """(N, 3T) what a finding does to the targets [m]."""
+    _, values = space.coefficients()
+    mine = _slice(f, candidate)
+    return np.asarray(space.taken[:, :, mine] @ values[mine])
+
+
+def _rms(space: Workspace, f: Found | None = None, candidate: Candidate | None = None) -> float:
+    """rms of readings of the fit visits [mm]; with a finding given, as it is when all but that one are fitted."""
+    if f is not None and candidate is not None:
+        keep = np.ones(len(space.taken_prior), dtype=bool)
+        keep[_slice(f, candidate)] = False
+        space = copy(space)
+        space.take_up(space.taken[:, :, keep], space.taken_prior[keep])
+    left = space.residual()[space.fit].reshape(-1, 3)
+    return float(np.sqrt(np.nanmean(np.where(np.isfinite(left).all(axis=1), (left**2).sum(axis=1), np.nan))) * 1e3)
+
+
+def _channel(compared: Compared, gradient: Array, located: Map, candidate: Candidate, displaced: Array) -> int:
+    """The component that shows most of what a finding does."""
+    first = candidate.columns[0]
+    frame = first.frame if first.on == "frame" else -1
+    allowed = residuals.components_of(located.channels, frame, candidate.component)
+    if candidate.effect == "target_moved":
+        allowed = list(range(len(located.channels)))
+    white = (compared.root @ displaced[..., None])[..., 0]
+    score = np.einsum("ni,nic->nc", white, gradient[:, :, allowed])
+    size = (score**2 / np.maximum((gradient[:, :, allowed] ** 2).sum(axis=1), 1e-30)).sum(axis=0)
+    return allowed[int(np.argmax(size))]
+
+
+def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:
+    for name in (candidate.covariate, *candidate.covariates):
+        try:
+            return np.asarray(named_column(c, name), dtype=float), name
+        except (KeyError, ValueError):
+            continue  # not every covariate of a finding is a column: a reflector, a tilt within the machine
+    return np.asarray(c.hours), "time"
+
+
+def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, str]]:
+    if said is None:
+        left = diagnosis.answer["unexplained"]
+        return [] if left is None else [("depends on", " and ".join(left["covariates"]))]
+    rows = [("p, family-wise", f"{said['p_value']:.2g}"), ("weight of the name", f"{said['weight']:.3f}")]
+    rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]
+    others = [
+        f"{a['effect'].replace('_', ' ')}{' of ' + a['joint'] if a['joint'] else ''} ({a['weight']:.3f})"
+        for a in said["alternatives"]
+    ]
+    rows.append(("could also be", ", ".join(others) or "nothing above 1 %"))
+    seen = [
+        r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
+    ]
+    for r in seen[:1]:
+        rows.append(("visible share", f"{r['share']:.1%}; found from {r['detectable_mm']:.3f} mm rms on"))
+        rows.append(("aliases here", ", ".join(a.replace("_", " ") for a in r["aliases"]) or "none"))
+    return rows
+
+
+def _value(p: dict[str, Any]) -> str:
+    spread = f" ± {p['std']:.1g}" if p["std"] else ""
+    unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    return f"{p['value']:.4g}{spread}{unit}".replace("-", "−")
+
+
+def _checks(checks: dict[str, list[dict[str, Any]]]) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
+    after = {c["name"]: c for c in checks["after"]}
+    return [(c, after.get(c["name"])) for c in checks["before"]]
