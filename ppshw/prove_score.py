@@ -146,8 +146,10 @@ def _joint_agrees(e: Json, finding: Mapping[str, Any]) -> bool:
 def _located(e: Json, findings: Sequence[Mapping[str, Any]], unexplained: Mapping[str, Any] | None) -> bool:
     joints = {e["joint"], *e["also"]} - {None}
     columns = set(e["covariates"]) | {f"q_{j}" for j in joints} | {f"approach_{j}" for j in joints}
-    if unexplained and columns & set(unexplained.get("covariates") or ()):
-        return True
+    if unexplained:
+        before = "before" in str(unexplained.get("history")) or "last move" in str(unexplained.get("history"))
+        if columns & set(unexplained.get("covariates") or ()) or ("previous_pose" in columns and before):
+            return True
     return any(f.get("joint") in joints or f.get("covariate") in columns for f in findings)
 
 

@@ -15,7 +15,7 @@ from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_g
 from ppshw.diagnosis.library import Candidate, library, nameless
 from ppshw.diagnosis.search import Found, search
 from ppshw.diagnosis.visibility import visibility
-from ppshw.diagnosis.wording import finding
+from ppshw.diagnosis.wording import column_of, finding
 from ppshw.diagnosis.workspace import Workspace, folds, prepare
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import estimate
@@ -26,7 +26,9 @@ from ppshw.terms.shapes import named_column
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Mask = NDArray[np.bool_]
 LEAST_VISITS = 40
+NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be less than this times the rms without
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def _answer(
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)
-    before, after = _held_out(space)
+    before, after = _carried(space, tried, found)
     unexplained = None if not left else _unexplained(space, tried, left[0])
     return {
         "visits": len(space.recording),
@@ -143,20 +145,38 @@ def _merged(found: list[Found]) -> list[Found]:
     return list(kept.values())
 
 
-def _held_out(space: Workspace) -> tuple[float, float]:
-    """rms of readings [mm] of visits the fit never saw (blocks in time, in turn), without and with the findings."""
-    sizes = []
-    for columns, prior in ((space.taken[:, :, :0], space.taken_prior[:0]), (space.taken, space.taken_prior)):
-        out = np.full(space.data.shape, np.nan)
-        for held in folds(len(space.recording)):
-            part = space.with_fit(space.fit & ~held)
-            part.take_up(columns, prior)
-            out[held] = part.residual()[held]
-        out[~space.fit] = np.nan  # gross errors are no test of a model
-        square = np.nansum(out.reshape(-1, 3) ** 2, axis=1)
-        square = square[np.isfinite(out.reshape(-1, 3)).all(axis=1)]
-        sizes.append(float(np.sqrt(square.mean()) * 1e3))
-    return sizes[0], sizes[1]
+def _carried(space: Workspace, tried: Tried, found: list[Found]) -> tuple[float, float]:
+    """Held-out rms [mm] without and with what is modelled. Structure without a name is modelled where that makes the
+    held-out visits better, and where it is no matter of time, which does not come again."""
+    whole = np.zeros(space.taken.shape[2], dtype=bool)
+    named = whole.copy()
+    for f in found:
+        candidate = tried.candidates[f.best]
+        here = slice(f.at, f.at + len(candidate.columns) + len(f.near))
+        f.carried = candidate.effect != "nameless" or "time" not in [column_of(x)[0] for x in candidate.covariates]
+        whole[here] = f.carried
+        named[here] = candidate.effect != "nameless"
+    before, after = _held_out(space, whole & False), _held_out(space, named)
+    if whole.sum() > named.sum():
+        better = _held_out(space, whole)
+        if better < NAMELESS_GAIN * after:
+            return before, better
+    for f in found:
+        f.carried = tried.candidates[f.best].effect != "nameless"
+    return before, after
+
+
+def _held_out(space: Workspace, which: Mask) -> float:
+    """rms of readings [mm] of visits the fit never saw (blocks in time, in turn), with these columns taken up."""
+    out = np.full(space.data.shape, np.nan)
+    for held in folds(len(space.recording)):
+        part = space.with_fit(space.fit & ~held)
+        part.take_up(space.taken[:, :, which], space.taken_prior[which])
+        out[held] = part.residual()[held]
+    out[~space.fit] = np.nan  # gross errors are no test of a model
+    square = np.nansum(out.reshape(-1, 3) ** 2, axis=1)
+    square = square[np.isfinite(out.reshape(-1, 3)).all(axis=1)]
+    return float(np.sqrt(square.mean()) * 1e3)
 
 
 def _noise_floor(space: Workspace) -> float:
@@ -170,11 +190,17 @@ def _noise_floor(space: Workspace) -> float:
 def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
     candidate = tried.candidates[f.best]
     region = {}
+    history = []
     for name in candidate.covariates:
-        values = named_column(space.context, name)
-        region[name] = [float(np.nanmin(values)), float(np.nanmax(values))]
+        said, how = column_of(name)
+        values = named_column(space.context, said)
+        region[said] = [float(np.nanmin(values)), float(np.nanmax(values))]
+        history += [how] if how else []
     return {
-        "covariates": list(candidate.covariates),
+        "covariates": list(region),
+        "history": ", ".join(history) or None,
+        "frame": candidate.frame,
+        "component": candidate.component,
         "region": region,
         "rms_mm": finding(space, tried, f)["rms_mm"],
         "p_value": f.p,

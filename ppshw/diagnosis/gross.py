@@ -138,7 +138,7 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
         return None
     name = list(columns)[k].removesuffix(" squared").split(" exp")[0]
     more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
-    finding = {
+    finding: dict[str, Any] = {
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},

@@ -6,6 +6,7 @@ sits in a drive. Grids of nonlinear parameters are part of the candidates: the e
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +18,7 @@ from ppshw.terms.shapes import Column, Context
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 
@@ -315,9 +317,22 @@ def _creep(c: Context) -> Iterator[Candidate]:
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:
     for k, name in _joints(c):
-        for moment in _moments(c, 450):
-            column = Column("frame", "step", {"visit_time": moment}, k + 1, _own(c, k))
-            yield Candidate("zero_shift", name, name, COMPONENTS[_own(c, k)], "time", (column,), {"time_h": moment})
+        own = _own(c, k)
+        where = ("zero_shift", name, name, COMPONENTS[own], "time")
+
+        def step(moment: float, k: int = k, own: int = own) -> Column:
+            return Column("frame", "step", {"visit_time": moment}, k + 1, own)
+
+        every, some = _moments(c, 450), _moments(c, 40)
+        for moment in every:
+            yield Candidate(*where, (step(moment),), {"time_h": moment}, 1.0 / len(every))
+        for first, second in itertools.combinations(some, 2):
+            pairs = len(some) * (len(some) - 1) / 2
+            yield Candidate(*where, (step(first), step(second)), {"time_h": first}, 0.2 / pairs)
+        for moment in some:
+            for tau in (0.5, 1.5):
+                back = Column("frame", "settling", {"visit_time": moment, "tau": tau}, k + 1, own)
+                yield Candidate(*where, (step(moment), back), {"time_h": moment}, 0.1 / len(some))
 
 
 def _missing_compliance(c: Context) -> Iterator[Candidate]:
@@ -377,6 +392,13 @@ def nameless(c: Context) -> list[Candidate]:
                 Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
             )
             out.append(_nameless(c, frame, comp, (name,), columns))
+    for frame, comp in places:
+        waves = [Column("frame", "clock", {"form": "cosine", "tau": k}, frame, comp) for k in range(1, RHYTHMS + 1)]
+        out.append(_nameless(c, frame, comp, ("time",), tuple(waves)))
+    for k, name in _joints(c):
+        for frame, comp in places[6:]:
+            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, RHYTHMS + 1)]
+            out.append(_nameless(c, frame, comp, (f"q_{name}", "time"), tuple(waves)))
     pairs = [(a, b) for i, a in enumerate(joints) for b in joints[i + 1 :]]
     others = ["time", *(s for s in singles if s.startswith(("temp_", "F", "M")))]
     pairs += [(a, b) for a in joints for b in others]

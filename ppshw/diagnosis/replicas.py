@@ -81,6 +81,8 @@ def of_space(space: Workspace, found: bool = True, everything: bool = False) -> 
         space.forget()
     weights = np.ones(len(space.recording))
     weights[space.fit] = np.maximum(space.base.weights, 1e-3)
+    if not found:
+        weights /= space.spread**2  # that some visits swing more was found too
     which = np.ones_like(space.fit) if everything else space.fit
     columns = np.concatenate([space.design, space.taken], axis=2)[which]
     base, extra = space.coefficients()

@@ -43,7 +43,8 @@ ROUNDS = 3  # of putting names to the question again
 class Found:
     """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
     size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
-    what its own left over; first: evidence when it was found; at: where its columns begin in the workspace."""
+    what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
+    carried: whether a calibration is to have it."""
 
     best: int
     name: Name
@@ -55,6 +56,7 @@ class Found:
     more: tuple[Column, ...] = ()
     first: float = 0.0
     at: int = 0
+    carried: bool = True
 
 
 def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: Progress | None = None) -> list[Found]:

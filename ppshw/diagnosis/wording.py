@@ -44,6 +44,17 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     }
 
 
+def column_of(covariate: str) -> tuple[str, str]:
+    """The recording's column that a covariate is made of, and what of its history, where it is not the value itself."""
+    if covariate.startswith("previous_q_"):
+        return covariate.removeprefix("previous_"), "of the pose before"
+    if covariate.startswith("move_"):
+        return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
+    if covariate == "since_load_change":
+        return "time", "since the load was changed"
+    return covariate, ""
+
+
 def _unit(candidate: Candidate) -> str:
     component = candidate.component or ""
     return "m" if component.startswith("t") else "rad" if component.startswith("r") else "1"
@@ -148,6 +159,11 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "target_moved": f"reflector {candidate.covariate} is not where the machine file says"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
         + f", by {np.linalg.norm(values) * 1e3:.3f} mm.",
-        "nameless": f"something depends on {candidate.covariate} that no known effect explains ({size}).",
+        "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _plainly(candidate: Candidate) -> str:
+    said = [column_of(name) for name in candidate.covariates]
+    return " and ".join(f"{column} ({how})" if how else column for column, how in said)

@@ -21,7 +21,7 @@ from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import Effect
+from ppshw.terms.effect import UNNAMED, Effect
 from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, compliances
 
@@ -60,7 +60,7 @@ class KnownEffects:
         self, effects: Sequence[Effect], model: Model, theta: Array, reference: Mapping[str, float],
         measuring_in_base: Array,
     ) -> None:  # fmt: skip
-        self.effects = tuple(effects)
+        self.effects = tuple(e for e in effects if e.name != UNNAMED)  # nothing says that they stay
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]

@@ -14,6 +14,7 @@ from ppshw.recording import Recording
 from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
+UNNAMED = "unexplained"  # what a correction without a name is called
 
 
 @dataclass(frozen=True)

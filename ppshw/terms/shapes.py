@@ -23,6 +23,7 @@ from ppshw.terms.elastic import Compliance
 from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up
 
 Array = NDArray[np.float64]
+QUANTILES = 41  # that the ranks of a column are kept by
 FunctionOfVisits = Callable[..., Array]
 
 
@@ -185,6 +186,11 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
     return np.asarray(forms[form])
 
 
+def clock_q(c: Context, order: int, joint: int) -> Array:
+    """A wave in time, the `order`-th half wave over the recording, times a joint's position."""
+    return clock(c, "cosine", order) * c.u(joint)
+
+
 def step(c: Context, visit_time: float) -> Array:
     """1 from a moment on (hours since the start)."""
     return np.asarray((c.hours >= visit_time).astype(float))
@@ -256,16 +262,23 @@ def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
 
 
 def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
-    """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks; count 1: the column."""
+    """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
+    was made from, nothing beyond what was seen there; count 1: the column."""
     values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
-    values = np.nan_to_num(values - np.nanmean(values))
-    spread = float(values.std())
+    middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
+    values = np.nan_to_num(values - middle)
+    spread = c.frozen(f"spread of {name}", float(values.std()))
     if spread == 0:
         return np.zeros(len(values))
     if count == 1:
         return np.asarray(values / spread)
-    rank = np.argsort(np.argsort(values, kind="stable"), kind="stable") / max(len(values) - 1, 1)
-    return np.asarray(np.exp(-0.5 * ((rank - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
+    places = np.linspace(0.0, 1.0, QUANTILES)
+    quantiles = [
+        c.frozen(f"quantile {k} of {name}", q) for k, q in enumerate(np.quantile(values, places).tolist())
+    ]
+    seen = (values >= quantiles[0]) & (values <= quantiles[-1])
+    rank = np.interp(values, quantiles, places)
+    return np.asarray(seen * np.exp(-0.5 * ((rank - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
 
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
@@ -386,8 +399,8 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Arr
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, step, settling, wave,
-        load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair, covariate,
-        covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
+        approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
+        settling, wave, load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair,
+        covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
     )
 }  # fmt: skip
