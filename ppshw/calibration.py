@@ -52,6 +52,7 @@ class Calibration:
     provenance          method, hashes, version, date, counts
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
     strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
+    ambiguous           what the recording does not tell apart, as `ambiguity.Ambiguity.as_dict` says it
     """
 
     model: Model
@@ -66,6 +67,7 @@ class Calibration:
     effects: tuple[Effect, ...] = ()
     reference: dict[str, float] = field(default_factory=dict)
     strengths: dict[str, float] = field(default_factory=dict)
+    ambiguous: tuple[dict[str, Any], ...] = ()
 
     @property
     def machine(self) -> Machine:
@@ -150,6 +152,7 @@ class Calibration:
             "effects": [effect.as_dict() for effect in self.effects],
             "reference": self.reference,
             "strengths": self.strengths,
+            "ambiguous": list(self.ambiguous),
             "covariance": _pack(self.covariance),
         }
 
@@ -239,6 +242,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         tuple(Effect.from_dict(item) for item in data.get("effects", [])),
         {str(k): float(v) for k, v in data.get("reference", {}).items()},
         {str(k): float(v) for k, v in data.get("strengths", {}).items()},
+        tuple(data.get("ambiguous", [])),
     )
 
 

@@ -20,6 +20,7 @@ import sqlite3
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -127,6 +128,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.calibration import Calibration
     from ppshw.evaluation import figures, residuals
     from ppshw.identification import identify as run
+    from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.recording import load_recording
 
     machine = _machine(a)
@@ -135,7 +137,9 @@ def identify(a: argparse.Namespace) -> None:
     began = time.perf_counter()
     with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
         estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
-    calibration = Calibration.of(estimate, recording, a.method)
+    ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
+    told = tuple(each.as_dict(machine) for each in ambiguous)
+    calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=told)
     calibration.save(out)
     fit = figures(residuals(recording, calibration))
     spread = np.sqrt(np.diag(calibration.noise.pose))
@@ -148,7 +152,9 @@ def identify(a: argparse.Namespace) -> None:
         "pose_sigma_mm": (spread[:3] * 1e3).tolist(),
         "pose_sigma_mrad": (spread[3:] * 1e3).tolist(),
         "instrument_sigma_mm": calibration.noise.instrument * 1e3,
+        "noise": "end effector" if calibration.noise.joints is None else "joints",
         "outliers": calibration.provenance["visits_down_weighted"],
+        "ambiguous": list(told),
         "seconds": round(time.perf_counter() - began, 2),
         "out": str(a.out),
     }
@@ -161,6 +167,8 @@ def identify(a: argparse.Namespace) -> None:
         f"  instrument           {calibration.noise.instrument * 1e3:.3f} mm per coordinate\n"
         f"  visits set aside     {answer['outliers']}"
     )
+    if a.method != "paper":
+        text += f"\n  not told apart       {summary(ambiguous)}"
     _say(a, answer, text)
 
 

@@ -130,7 +130,7 @@ def estimate(
 
 def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) -> tuple[Posterior, Mask]:
     """Strengths, noise, outliers and θ₀, in turn until nothing moves; `state` holds them."""
-    groups, lines = task.groups, _lines(task.model)
+    groups, first = task.groups, lines(task.model)
     seen = task.recording.seen[task.which]
     rank, believed = pose_rank(seen), chi2.ppf(BELIEVED, 3 * seen.sum(axis=1))
     linear = task.linearised(state)
@@ -138,7 +138,7 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
         if progress:
             progress(turn, rounds)
         settled = turn >= 2
-        kept = state.active & lines if turn == 0 else state.active
+        kept = state.active & first if turn == 0 else state.active
         gram, moment, whites = linear.normal_equations(state.noise, state.weights, kept)
         state.variances, posterior = learn(gram, moment, groups, kept, state.variances, STRENGTH_STEPS)
         before, state.theta = state.theta, np.zeros(len(kept))
@@ -182,9 +182,14 @@ def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask
     return posterior, kept
 
 
-def _lines(model: Model) -> Mask:
+def lines(model: Model) -> Mask:
     """(p,) constants, slopes, compliances, targets: what a first solution needs."""
     return np.array([".band" not in p.group and not p.group.startswith("own.") for p in model.parameters()])
+
+
+def believable(weights: Array) -> Index:
+    """Visits that an estimate did not set aside."""
+    return np.flatnonzero(weights > 0.5)
 
 
 def _answer(task: _Task, state: _State, posterior: Posterior, kept: Mask, used: Mask) -> Estimate:

@@ -1,0 +1,92 @@
+"""Identification says which parameters a recording cannot tell apart, and what to measure for it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppshw.cli import main
+from ppshw.identification.ambiguity import Ambiguity, ambiguities
+from ppshw.identification.joint import estimate
+from ppshw.identification.structure import joint_model
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Plant
+
+PPS = Path(__file__).parents[2] / "machines/pps.yaml"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Machine, Recording]:
+    machine = load_machine(PPS)
+    path = tmp_path_factory.mktemp("ambiguity") / "r.csv"
+    return machine, load_recording(simulate_recording_csv(Plant.from_file(PPS, 5), path, 90), machine)
+
+
+def found_in(machine: Machine, recording: Recording) -> dict[str, Ambiguity]:
+    model = joint_model(machine, recording, waves=2)
+    return {a.parameter: a for a in ambiguities(estimate(model, recording), recording)}
+
+
+def test_rails_that_never_turn_share_one_offset_that_no_visit_splits(recorded: tuple[Machine, Recording]) -> None:
+    """Base, lateral, vertical and longitudinal keep their axes parallel: of four offsets one sum is to be seen."""
+    found = found_in(*recorded)
+    for axis in ("tx", "ty", "tz"):
+        frames = ("base", "lateral", "vertical", "longitudinal")
+        alike = [found.get(f"{frame}.{axis}[0]") for frame in frames]
+        told = [a for a in alike if a is not None]
+        assert len(told) >= 3
+        for one in told:
+            assert one.visit is None
+            assert "no visit separates them" in one.sentence
+            assert one.like[0][0].split(".")[1] == f"{axis}[0]"
+            assert one.like[0][1] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_joint_that_never_moved_is_asked_for(recorded: tuple[Machine, Recording]) -> None:
+    """With yaw at rest, what turns with it looks like what does not, until yaw stands elsewhere."""
+    machine, recording = recorded
+    q = recording.q.copy()
+    q[:, 3] = 0.0
+    plant = Plant.from_file(PPS, 5)
+    seen = plant.true_points(q, recording.wrench, plant.draw_repeatability(len(q), np.random.default_rng(1)))
+    still = replace(recording, q=q, q_cmd=q, points=np.stack(list(seen.values()), axis=1))
+    asked = {n: a for n, a in found_in(machine, still).items() if n.startswith(("yaw.t", "roll.t", "pitch.t"))}
+    shifts = [a for n, a in asked.items() if n.endswith("[0]") and "C[" not in n]
+    assert shifts
+    wanted = [a for a in shifts if a.visit is not None and "yaw at" in a.visit.words]
+    assert wanted
+    assert all(a.visit is not None and abs(a.visit.q[3]) > 0.5 for a in wanted)
+    # the same offsets with yaw moving all over its range are told from the rails' by the recording itself
+    assert "yaw.tx[0]" not in found_in(*recorded) or "roll.tx[0]" not in found_in(*recorded)
+
+
+def test_without_loads_a_load_is_asked_for(recorded: tuple[Machine, Recording]) -> None:
+    machine, recording = recorded
+    plant = Plant.from_file(PPS, 5)
+    seen = plant.true_points(recording.q, None, plant.draw_repeatability(len(recording), np.random.default_rng(2)))
+    bare = replace(recording, wrench=np.zeros((len(recording), 6)), points=np.stack(list(seen.values()), axis=1))
+    elastic = [a for n, a in found_in(machine, bare).items() if n.startswith("pitch.C[r") and a.visit is not None]
+    assert elastic
+    assert all("a load of" in a.visit.words for a in elastic if a.visit)
+
+
+def test_the_command_says_it_in_words_in_json_and_in_the_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulate_recording_csv(Plant.from_file(PPS, 5), tmp_path / "r.csv", 40)
+    command = ["identify", str(tmp_path / "r.csv"), "--machine", str(PPS), "--out"]
+    assert main([*command, str(tmp_path / "a.json")]) == 0
+    text = capsys.readouterr().out
+    assert "move the targets like others do" in text
+    assert main([*command, str(tmp_path / "b.json"), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)["ambiguous"]
+    assert json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["ambiguous"] == answer
+    with_visit = [a for a in answer if a["visit"]]
+    assert with_visit
+    assert set(with_visit[0]["visit"]["pose"]) == {"lateral", "vertical", "longitudinal", "yaw", "roll", "pitch"}
