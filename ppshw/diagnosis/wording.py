@@ -21,7 +21,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     """One finding of the contract's §4; `space` has all findings taken up."""
     candidate = tried.candidates[found.best]
     values, std, rms = coefficients(space, candidate, found)
-    parameters = _parameters(candidate, values, std)
+    parameters = parameters_of(candidate, values, std)
     weights = found.weights or {found.name: 1.0}
     alternatives = [
         {"effect": effect, "joint": joint, "weight": round(weight, 4)}
@@ -60,7 +60,8 @@ def _unit(candidate: Candidate) -> str:
     return "m" if component.startswith("t") else "rad" if component.startswith("r") else "1"
 
 
-def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, dict[str, Any]]:
+def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, dict[str, Any]]:
+    """Values (k,) and standard deviations (k,) of a candidate's k columns under their names, with units."""
     unit = _unit(candidate)
     names = [f"c{k + 1}" for k in range(len(values))]
     factors = np.ones(len(values))
@@ -80,15 +81,19 @@ def _parameters(candidate: Candidate, values: Array, std: Array) -> dict[str, di
         }  # fmt: skip
     elif candidate.effect == "tracker_scale":
         grows = ["place" in column.args for column in candidate.columns]
-        names = ["scale_per_K" if g else "scale" for g in grows]
-        units = ["1/K" if g else "1" for g in grows]
+        moves = [column.on == "frame" for column in candidate.columns]
+        axes = iter("xyz")
+        names = [f"shift_{next(axes)}" if m else "scale_per_K" if g else "scale"
+                 for m, g in zip(moves, grows, strict=True)]  # fmt: skip
+        units = ["m/K" if m else "1/K" if g else "1" for m, g in zip(moves, grows, strict=True)]
     elif candidate.effect == "thermal_growth":
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
         units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
     elif candidate.effect == "friction_hysteresis":
         names = ["lag"]
     elif candidate.effect == "zero_shift":
-        names = ["step"]
+        second = "lost_again" if candidate.columns[-1].function == "settling" else "second_step"
+        names = ["step", second][: len(values)]
     elif candidate.effect == "target_moved":
         names, units = ["dx", "dy", "dz"], ["m"] * 3
     elif candidate.effect == "moving_weight":

@@ -1,0 +1,49 @@
+"""Whatever is in the library can be said: every form has a name and a unit for each of its numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.wording import column_of, parameters_of, sentence
+from ppshw.identification.joint import estimate
+from ppshw.identification.structure import joint_model
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
+from ppshw.terms.shapes import Context
+from simulators.concealed.case import make_case
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    case: Path = tmp_path_factory.mktemp("case")
+    make_case(5, "pps", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 80, 80)
+    machine = load_machine(case / "machine.yaml")
+    recording = load_recording(case / "recording.csv", machine)
+    base = estimate(joint_model(machine, recording), recording)
+    return Context.of(base.model, base.theta, recording, base.measuring_in_base)
+
+
+def test_every_form_names_each_of_its_numbers_once(context: Context) -> None:
+    seen = set()
+    for candidate in library(context):
+        kind = (candidate.effect, *(c.function for c in candidate.columns), candidate.component is None)
+        if kind in seen:
+            continue
+        seen.add(kind)
+        values = np.linspace(1e-5, 2e-5, len(candidate.columns))
+        said = parameters_of(candidate, values, values)
+        least = 2 if candidate.effect == "periodic_transmission" else len(values)
+        assert len(said) >= least, candidate
+        assert all(entry["unit"] for entry in said.values())
+        assert sentence(candidate, values, 1e-4).endswith((".", "mm."))
+    assert len(seen) > 30  # of this campaign: all effects but those that need what it has not
+
+
+def test_history_is_said_in_the_columns_of_the_recording() -> None:
+    assert column_of("previous_q_yaw") == ("q_yaw", "of the pose before")
+    assert column_of("move_yaw")[0] == "q_yaw"
+    assert column_of("temp_air_C") == ("temp_air_C", "")
