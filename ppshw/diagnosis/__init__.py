@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.checks import before_and_after
+from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
 from ppshw.diagnosis.library import Candidate, library, nameless
@@ -58,6 +59,7 @@ def diagnose(
         raise IdentificationFailed(
             f"{recording.source}: {len(recording)} visits with a target, expected at least {LEAST_VISITS} to diagnose"
         )
+    recording, mistakes = column_mistakes(machine, recording)
     tell = progress or (lambda done, total: None)
     tell(0, 10)
     everything = np.ones(len(recording), dtype=bool)
@@ -84,7 +86,7 @@ def diagnose(
         tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
     scatter = None if "unsettled" in without else scatter_of(space, seed)
     space = space.as_learnt()
-    answer = _answer(space, tried, found, gross, None if scatter is None else scatter.finding)
+    answer = _answer(space, tried, found, gross, None if scatter is None else scatter.finding, mistakes)
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
     return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])
@@ -114,11 +116,12 @@ def _without(space: Workspace) -> Recording:
 
 
 def _answer(
-    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: dict[str, Any] | None
+    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: dict[str, Any] | None,
+    mistakes: list[Mistake],
 ) -> dict[str, Any]:
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = gross.findings(space)
+    findings = [m.finding() for m in mistakes] + gross.findings(space)
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)

@@ -1,0 +1,66 @@
+"""A column with the wrong sign or unit is called what it is, and the rest of the recording is used all the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.columns import column_mistakes
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
+from simulators.concealed.case import make_case
+
+
+@pytest.fixture(scope="module", params=["pps", "arm6"])
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Machine, Recording]:
+    out = tmp_path_factory.mktemp("case")
+    make_case(11, request.param, "null", 0.0, out, tmp_path_factory.mktemp("sealed"), 60, 60)
+    machine = load_machine(out / "machine.yaml")
+    return machine, load_recording(out / "recording.csv", machine)
+
+
+def test_a_sound_recording_has_no_mistakes(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    same, found = column_mistakes(machine, recording)
+    assert found == []
+    assert same is recording
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_that_counts_the_other_way(case: tuple[Machine, Recording], joint: int) -> None:
+    machine, recording = case
+    q = recording.q.copy()
+    q[:, joint] *= -1
+    mended, found = column_mistakes(machine, replace(recording, q=q))
+    assert [(m.column, m.factor) for m in found] == [(f"q_{machine.joint_names[joint]}", -1.0)]
+    assert np.array_equal(mended.q, recording.q)
+    assert "opposite sign" in found[0].finding()["sentence"]
+
+
+def test_a_coordinate_in_millimetres(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    points = recording.points.copy()
+    points[:, 1, 2] *= 1000.0
+    mended, found = column_mistakes(machine, replace(recording, points=points))
+    assert [(m.column, m.factor) for m in found] == [(f"{recording.target_names[1]}_z", 1e-3)]
+    assert np.allclose(mended.points, recording.points)
+
+
+def test_the_reaction_instead_of_the_payload(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    mended, found = column_mistakes(machine, replace(recording, wrench=-recording.wrench))
+    assert [m.column for m in found] == ["Fx … Mz"]
+    assert np.array_equal(mended.wrench, recording.wrench)
+
+
+def test_one_moment_with_the_opposite_sign(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    wrench = recording.wrench.copy()
+    largest = 3 + int(np.argmax(wrench[:, 3:].std(axis=0)))
+    wrench[:, largest] *= -1
+    _, found = column_mistakes(machine, replace(recording, wrench=wrench))
+    # a sensor that stays level cannot tell it from a load that lies on the other side
+    expected = [] if machine.name == "pps" else [("Fx", "Fy", "Fz", "Mx", "My", "Mz")[largest]]
+    assert [m.column for m in found] == expected
