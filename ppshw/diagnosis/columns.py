@@ -1,8 +1,8 @@
 """Columns with the wrong sign or the wrong unit, looked for before anything else: the ideal machine is right to a few
 centimetres, a payload hangs down, and a mistake of a whole column is not to be explained by physics.
 
-What cannot be told: a single moment's sign where the sensor stays level, which is a load on the other side; the scale of a
-force, which is another load.
+What cannot be told: a single moment's sign where the sensor stays level, which is a load on the other side; the scale
+of a force, which is another load.
 """
 
 from __future__ import annotations
