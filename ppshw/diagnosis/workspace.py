@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # While names are sought the base model may take so many times what its learnt strengths say. A coefficient that is
 # large in its group is held back by the group's strength, and what is held back would be found as an effect (measured:
-# with 1, two of the first dozen clean recordings had a finding, with 2 none).
+# with 1, one of sixteen clean recordings had a finding and two with an invisible effect one of something else; with 2
+# none of these).
 CAUTION = 2.0
 
 
