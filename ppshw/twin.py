@@ -84,14 +84,12 @@ def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> li
     Of the very recording that it was identified from, it already took what it could; of any other it may be wrong by
     its own uncertainty. Both are in the replicas.
     """
-    return check(compared(calibration, recording.subset(recording.seen.any(axis=1)), recording.sha256), seed)[0]
+    seen = np.asarray(recording.seen.any(axis=1))
+    return check(compared(calibration, recording.subset(seen)), seed)[0]
 
 
-def compared(calibration: Calibration, recording: Recording, sha256: str) -> Compared:
-    """What a calibration leaves of the visits of a recording, and how its own replicas come about.
-
-    sha256  of the whole recording: is it the one that the calibration was made from?
-    """
+def compared(calibration: Calibration, recording: Recording) -> Compared:
+    """What a calibration leaves of the visits of a recording, and how its own replicas come about."""
     context = _context(calibration, recording)
     count, seen = len(recording), recording.seen
     rows = np.repeat(seen, 3, axis=1)
@@ -102,7 +100,7 @@ def compared(calibration: Calibration, recording: Recording, sha256: str) -> Com
     read = to_base(recording.points, calibration.measuring_in_base).reshape(count, -1)
     left = (root @ np.where(rows, read - ideal, 0.0)[..., None])[..., 0]
     design, active = _design(calibration, recording, root)
-    if sha256 == calibration.provenance.get("recording_sha256"):
+    if recording.sha256 == calibration.provenance.get("recording_sha256"):
         prior = _prior(calibration)[active]
         if calibration.effects:
             columns = np.stack([c.evaluate(context) for e in calibration.effects for c in e.columns], axis=2)

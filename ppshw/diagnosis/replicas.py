@@ -62,12 +62,12 @@ class Compared:
         size = self.left.size
         step = max(1, min(draws, AT_ONCE // size))
         weight = np.repeat(np.sqrt(self.weights), self.left.shape[1]).astype(np.float32)
-        live = self.live.ravel()
+        scale = self.live.ravel() * weight
         for at in range(0, draws, step):
             count = min(step, draws - at)
-            noise = rng.standard_normal((count, size), dtype=np.float32) * (live * weight)
+            noise = np.asarray(rng.standard_normal((count, size), dtype=np.float32) * scale, dtype=np.float32)
             noise -= self.wrong(noise, rng) @ self.design.T
-            yield (noise / weight).reshape(count, *self.left.shape)
+            yield np.asarray(noise / weight, dtype=np.float32).reshape(count, *self.left.shape)
 
 
 def of_space(space: Workspace, found: bool = True, everything: bool = False) -> Compared:

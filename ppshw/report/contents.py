@@ -20,6 +20,7 @@ from ppshw.recording_file import RecordingFile, is_sqlite
 
 MACHINE, CALIBRATION = "machine.yaml", "calibration.json"
 RESULTS = ("demo.json", "result.json")
+DIAGNOSIS = "diagnosis.json"
 RECORDINGS = {
     "campaign": "the residual of the identification recording and the coverage of the joints",
     "verification_nominal": "errors without compensation",
@@ -147,6 +148,21 @@ def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
         raise ReportError(f"{path}: expected an object with the run's figures, found {type(found).__name__}")
     sources.append(Source(path.name, _file_hash(path), "figures that the run printed"))
     return found, path.name
+
+
+def read_diagnosis(folder: Path) -> dict[str, Any] | None:
+    """What a diagnosis in the folder answered, None without one. Raises ReportError where it is broken."""
+    path = folder / DIAGNOSIS
+    if not path.is_file():
+        return None
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
+        raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+    lacking = {"verdict", "findings", "held_out", "noise_floor_mm"} - set(found if isinstance(found, dict) else ())
+    if lacking:
+        raise ReportError(f"{path}: no answer of a diagnosis, without {', '.join(sorted(lacking))}")
+    return dict(found)
 
 
 def _point(machine: Machine, recordings: dict[str, Recording]) -> str:

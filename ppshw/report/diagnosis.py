@@ -216,7 +216,7 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
 
 
 def _value(p: dict[str, Any]) -> str:
-    spread = f" ± {p['std']:.1g}" if p["std"] else ""
+    spread = f" ± {abs(p['std']):.1g}" if p["std"] else ""
     unit = "" if p["unit"] == "1" else f" {p['unit']}"
     return f"{p['value']:.4g}{spread}{unit}".replace("-", "−")
 

@@ -11,9 +11,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from ppshw.diagnosis.checks import sentence
 from ppshw.errors import ReportError
 from ppshw.report import figures, functions, tables
-from ppshw.report.contents import Contents, read_folder
+from ppshw.report.contents import Contents, read_diagnosis, read_folder
 from ppshw.report.numbers import Fit, Numbers, compute, fit
 from ppshw.report.picture import BEFORE, Picture
 from ppshw.report.tables import mm, timed
@@ -69,6 +70,7 @@ def render(contents: Contents, now: datetime) -> str:
         measured=_measured_span(contents),
         sites=sorted({source.meta["site_name"] for source in contents.sources if "site_name" in source.meta}),
         headline=headline(contents, numbers),
+        diagnosis=_diagnosed(contents),
         accuracy=numbers.accuracy,
         used=tables.measurements(contents),
         facts=tables.facts(contents, numbers, left),
@@ -114,6 +116,27 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         made = contents.calibration.provenance
         return f"Calibrated from {made.get('visits_used', '?')} visits; nothing here has verified it {at} yet."
     return f"Nothing has been identified or verified {at} yet."
+
+
+def _diagnosed(contents: Contents) -> list[str]:
+    """What a diagnosis in the folder says, in sentences; empty without one."""
+    answer = read_diagnosis(contents.folder)
+    if answer is None:
+        return []
+    held, checks = answer["held_out"], answer.get("checks")
+    out = [f"Verdict: {str(answer['verdict']).replace('_', ' ')}."]
+    out += [f"{f['sentence'][0].upper()}{f['sentence'][1:]}" for f in answer["findings"]]
+    if left := answer.get("unexplained"):
+        out.append(f"Structure over {' and '.join(left['covariates'])} is left that no known effect explains.")
+    out.append(
+        f"On visits that the fit never saw, readings miss by {mm(held['rms_before_mm'])} rms before and "
+        f"{mm(held['rms_after_mm'])} after; noise alone makes {mm(answer['noise_floor_mm'])}."
+    )
+    if checks:
+        out.append(f"By the base model the recording is {sentence(checks['before'])}.")
+        if answer["findings"] or left:
+            out.append(f"With what was found it is {sentence(checks['after'])}.")
+    return out
 
 
 def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Section]:

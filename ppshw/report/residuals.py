@@ -141,11 +141,11 @@ def over(
             for (a, b), lo, hi in zip(half, low, high, strict=True):
                 c.axes.fill_between([a, b], lo, hi, color=AFTER, alpha=0.25, lw=0)
             c.axes.plot([], [], "s", ms=8, color=AFTER, alpha=0.25, label="noise, 95 %")
-            c.axes.plot(at, mean, "D", ms=6, color=AFTER, label="mean")
+            c.axes.plot(at, mean, "D", ms=6, color=AFTER, mec="white", label="mean", zorder=4)
             c.axes.set_xticks(at)
         else:
             c.axes.fill_between(at, low, high, color=AFTER, alpha=0.2, lw=0, label="noise, 95 %")
-            c.axes.plot(at, mean, "o-", ms=4, color=AFTER, label="mean of a bin")
+            c.axes.plot(at, mean, "o-", ms=4, color=AFTER, label="mean of a bin", zorder=4)
         if fitted is not None:
             order = np.argsort(x, kind="stable")
             c.axes.plot((x + jitter)[order], fitted[known][order], ".", ms=3.2, color=MARK, label="as found",
