@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 ANOTHER_MACHINE, ANOTHER_MACHINE_M = 0.1, 0.1
 GROSS, GROSS_M = 20.0, 0.05
 ROUNDS = 20
+BLOCK = 4096
 
 
 def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Recording, NDArray[np.bool_]]:
@@ -54,5 +55,7 @@ def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Ar
         raise IdentificationFailed(f"{recording.source}: no target was measured")
     if frame is None:
         frame, targets = align(machine, kept, targets_free=not machine.tracker.targets_known)
-    ideal = point_positions(machine, recording.q, targets)
+    # a chain of frames is a hundred times a reading: of long recordings never all at once
+    parts = [point_positions(machine, recording.q[at : at + BLOCK], targets) for at in range(0, len(recording), BLOCK)]
+    ideal = np.concatenate(parts)
     return np.linalg.norm(to_base(recording.points, frame) - ideal, axis=2), ideal

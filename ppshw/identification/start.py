@@ -12,6 +12,7 @@ from ppshw.recording import Recording
 from ppshw.transforms import fit_rigid, inverse
 
 Array = NDArray[np.float64]
+BLOCK = 4096
 
 
 def align(machine: Machine, recording: Recording, targets_free: bool, q: Array | None = None) -> tuple[Array, Array]:
@@ -22,7 +23,8 @@ def align(machine: Machine, recording: Recording, targets_free: bool, q: Array |
 
     returns  (4, 4) measuring frame in the base frame, (T, 3) targets in the end-effector frame [m]
     """
-    tips = tip_poses(machine, recording.q if q is None else q)
+    q = recording.q if q is None else q
+    tips = np.concatenate([tip_poses(machine, q[at : at + BLOCK]) for at in range(0, len(q), BLOCK)])
     seen = recording.seen
     if seen.sum() < 3:
         raise IdentificationFailed(
