@@ -77,9 +77,11 @@ def _backlash(c: Context) -> Iterator[Candidate]:
             sign = Column("frame", "approach", {"joint": k}, k + 1, comp)
             yield Candidate("backlash", name, name, COMPONENTS[comp], f"approach_{name}", (sign,), share=share)
             drag = Column("frame", "approach_q", {"joint": k}, k + 1, comp)
-            yield Candidate(
-                "backlash", name, name, COMPONENTS[comp], f"approach_{name}", (sign, drag), share=0.15 * share
-            )
+            worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, comp)
+            for columns in ((sign, drag), (sign, drag, worn)):
+                yield Candidate(
+                    "backlash", name, name, COMPONENTS[comp], f"approach_{name}", columns, share=0.1 * share
+                )
 
 
 def _friction(c: Context) -> Iterator[Candidate]:

@@ -68,8 +68,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     units = [unit] * len(values)
     if candidate.effect == "backlash":
         names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
-        if len(names) > 1:
-            names[1] = "drag"
+        names[1:] = ["drag", "wear"][: len(names) - 1]
     elif candidate.effect == "periodic_transmission":
         amplitude = float(np.hypot(values[0], values[1]))
         spread = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
