@@ -73,6 +73,7 @@ class Foresight:
     seen: tuple[Sight, ...]
     absent: tuple[Name, ...]
     unit: float
+    assumed: str = ASSUMED
 
     @property
     def rows(self) -> list[dict[str, Any]]:

@@ -432,6 +432,11 @@ def plan(a: argparse.Namespace) -> None:
     answer: dict[str, Any] = {}
     lines: list[str] = []
     asked = {f"--{k}": v for k, v in vars(a).items() if k in _OF_A_DESIGN and v is not None}
+    if a.joint is not None and a.to_separate is None:
+        raise BadInput("plan: --joint says where --to-separate looks, and there is none")
+    if a.to_separate is not None:
+        _separated(a, machine, answer)
+        return
     if a.campaign is not None:
         if asked:
             raise BadInput(f"{next(iter(asked))}: designs a new campaign, and '{a.campaign}' is one already")
@@ -450,6 +455,12 @@ def plan(a: argparse.Namespace) -> None:
         *(f"  {step:28}{count:6} visits" for step, count in summary.steps.items()),
         *lines,
     ]
+    if a.visibility or (a.campaign is not None and len(found.visits) <= _FORESEEN):
+        from campaigns.foresight import foresee
+
+        foresight = foresee(found)
+        answer["visibility"], answer["assumed"] = foresight.rows, foresight.assumed
+        lines += foresight.warnings() + (foresight.table() if a.visibility else [])
     if a.list:
         names = machine.joint_names
         answer["plan"] = [
@@ -461,6 +472,7 @@ def plan(a: argparse.Namespace) -> None:
     _say(a, answer, "\n".join(lines))
 
 
+_FORESEEN = 1000  # visits up to which a plan says unasked what it is blind to: two seconds
 _OF_A_DESIGN = ("visits", "accuracy", "after", "calibration", "loads", "load_cases", "point", "out")
 
 
@@ -496,6 +508,45 @@ def _designed(
         found = design(question, partial, lambda stage: lambda k, n: bar(stage, k, n))
     answer.update(found.numbers, out=None if found.plan is None else a.out)
     return found.plan, [*found.lines, *([] if found.plan is None else [a.out])]
+
+
+def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> None:
+    """--to-separate A,B: the visits that tell two effects apart, after a recording or a planned campaign."""
+    from campaigns.design.separate import Wanted, separate
+    from campaigns.plan import plan_campaign
+    from campaigns.script import load_script
+    from ppshw.recording import load_recording
+
+    effects = tuple(a.to_separate.split(","))
+    if len(effects) != 2 or effects[0] == effects[1]:
+        raise BadInput(f"--to-separate {a.to_separate}: expected two different effects and a comma between them")
+    if (a.campaign is None) == (a.after is None):
+        raise BadInput("plan: --to-separate needs what there is so far: a campaign, or --after REC")
+    for given in ("accuracy", "calibration", "loads", "load_cases", "point"):
+        if getattr(a, given) is not None:
+            raise BadInput(f"plan: --{given.replace('_', '-')} has no meaning with --to-separate")
+    if a.joint is not None and a.joint not in machine.joint_names:
+        raise BadInput(f"--joint {a.joint}: no such joint (there are: {', '.join(machine.joint_names)})")
+    if a.out is None:
+        raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
+    out = _new_file(a.out, machine.file, *([a.after] if a.after else []))
+    so_far = plan_campaign(load_script(a.campaign), machine) if a.after is None else load_recording(a.after, machine)
+    words = f"ppshw plan --to-separate {a.to_separate}" + (f" --joint {a.joint}" if a.joint else "")
+    words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {a.seed}"
+    with Bar() as bar:
+        found = separate(
+            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, a.seed, out.stem, words),
+            lambda k, n: bar("candidates", k, n),
+        )
+    visits = sum(len(block.q) for block in found.blocks)
+    answer.update(separation=found.rows, visits=visits, duration_s=found.seconds, out=a.out if visits else None)
+    if not visits:
+        _say(a, answer, "\n".join([*found.lines(), "told apart already, or by no visits tried: nothing written"]))
+        return
+    with _written_whole(out, may_be_missing=True) as partial:
+        partial.write_text(found.text, encoding="utf-8")
+    plan_campaign(load_script(out), machine)
+    _say(a, answer, "\n".join([*found.lines(), f"{visits} visits, about {_hours(found.seconds)}", a.out]))
 
 
 def _hours(seconds: float) -> str:
@@ -677,6 +728,9 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("campaign", nargs="?", help="campaign script (a file, or the name of one that comes with ppshw)")
     machine(p)
     p.add_argument("--list", action="store_true", help="list every visit")
+    p.add_argument("--visibility", action="store_true", help="for every effect and joint what the campaign would show")
+    p.add_argument("--to-separate", metavar="A,B", help="visits that tell two effects apart, after this or --after")
+    p.add_argument("--joint", metavar="J", help="with --to-separate: at this joint only (default: at every joint)")
     g = p.add_argument_group("design of a new campaign: what to measure for the least error at a point")
     g.add_argument("--visits", type=_count, metavar="N", help="of that many visits, reference visits counted")
     g.add_argument("--accuracy", type=_length, metavar="X", help="with this predicted 98.6 %%, noise included: 0.25mm")

@@ -80,6 +80,8 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
     weights = np.array([k.share for k in tried.candidates]) if weights is None else weights
     seen = np.array([tried.seen[i].mean() for i in tried.index])  # per unit rms of the form, columns weighed alike
     shares = np.clip(seen / np.maximum([tried.plain[i].mean() for i in tried.index], 1e-30), 0.0, 1.0)
+    # a form with a column that the base model takes whole is not tried, whatever its other columns show
+    seen = np.where(np.isfinite(tried.log_share), seen, 0.0)
     names = [j for j, name in enumerate(tried.names) if name[0] != "nameless"]
     spread = [_by_visibility(np.flatnonzero(tried.name_of == j), seen, weights) for j in names]
     forms = np.array([middle for _, middle, _ in spread], dtype=int)

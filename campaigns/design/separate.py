@@ -1,0 +1,361 @@
+"""`ppshw plan --to-separate A,B`: visits that would tell two effects apart, given what was measured or planned.
+
+With X the base model's design, V = R + X Λ Xᵀ and Z_B the forms of B with a prior Λ_B, a field f of A has
+
+    λ = S_ff − S_fB (S_BB + Λ_B⁻¹)⁻¹ S_Bf,      S = Fᵀ V⁻¹ F,  F = [f, Z_B]
+
+left that neither B nor the base model can mimic. f moves the reflectors by the repeatability, rms over a recording that
+has every candidate in it; the middling form of A speaks for it. Both ways round: A taken for B, B for A.
+
+Visits come in blocks (`blocks`), chosen greedily for the gain per minute. A block adds rᵀ C⁻¹ r to S, with r its
+columns less what the base model predicts of them and C = I + x P xᵀ the prediction's covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaigns.design.belief import Belief, learnt, typical
+from campaigns.design.blocks import Block, blocks
+from campaigns.design.designer import loads_for
+from campaigns.design.write import joints_text, load_text, word
+from campaigns.foresight import approaches, pretended, springs, would_be
+from campaigns.plan import Plan
+from campaigns.script import LoadCase
+from ppshw import __version__
+from ppshw.diagnosis.evidence import Name
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.visibility import thinned
+from ppshw.diagnosis.workspace import CAUTION
+from ppshw.errors import CampaignError
+from ppshw.identification import identify
+from ppshw.machine import Machine
+from ppshw.recording import Recording
+from ppshw.terms import Situation
+from ppshw.terms.shapes import Column, Context
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+# Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis.md §5).
+ENOUGH = 6.0
+FORMS = 8  # of each name
+TAIL = 12  # visits before a block that its history is computed from
+AMPLITUDE = 3.0  # of the other effect, in units of the repeatability
+MOST_VISITS = 30
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """effects: two names of the contract's table; joint: only there, None: every joint that has both; so_far: a
+    recording, or a plan; visits: at most so many more."""
+
+    machine: Machine
+    effects: tuple[str, str]
+    joint: str | None
+    so_far: Recording | Plan
+    visits: int | None
+    seed: int
+    name: str
+    asked: str
+
+
+@dataclass(frozen=True)
+class Separation:
+    """rows: per pair, √λ before and after, each effect taken for the other; text: the script; blocks: in its order,
+    none where all are told apart already (or nothing helps) and there is no script."""
+
+    rows: list[dict[str, Any]]
+    blocks: tuple[Block, ...]
+    text: str
+    seconds: float
+
+    def lines(self) -> list[str]:
+        out = []
+        for r in self.rows:
+            out.append(
+                f"{_taken_for(r)}: √λ {r['before']:.1f} before, {r['after']:.1f} after, at 1 × repeatability"
+                f"{'' if r['after'] >= ENOUGH else ' (not enough)'}"
+            )
+        told: dict[str, int] = {}
+        for block in self.blocks:
+            told[block.what] = told.get(block.what, 0) + len(block.q)
+        return [*out, *(f"  {what}: {count} visits" for what, count in told.items())]
+
+
+def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
+    """Choose the visits. Raises CampaignError when an effect is unknown or has no form here."""
+    machine = wanted.machine
+    recording, belief, cases, unit = _so_far(wanted)
+    which = [machine.joint_names.index(wanted.joint)] if wanted.joint else list(range(machine.n))
+    offered = blocks(machine, cases, which, wanted.seed)
+    whole = _followed_by(recording, offered, machine)
+    theta = belief.theta + springs(belief.model, belief.strengths)
+    frame = np.eye(4) if machine.tracker.base is None else machine.tracker.base
+    rich = Context.of(belief.model, theta, whole, frame)
+    columns, pairs = _columns(rich, wanted)
+    sizes = np.array([_rms(c.evaluate(rich), whole) for c in columns])
+    scale = np.where(sizes > 1e-15, unit / np.maximum(sizes, 1e-15), 0.0)
+    laid = _Laid(belief, theta, frame, rich.reference, columns, scale)
+    state = laid.state(recording)
+    before = state.copy()
+    tail = recording.subset(np.arange(max(0, len(recording) - TAIL), len(recording)))
+    rows = []
+    for k, block in enumerate(offered):
+        x, f = laid.rows(_followed_by(tail, [block], machine), len(block.q))
+        rows.append((x, f))
+        if progress:
+            progress(k, len(offered))
+    chosen = _greedy(state, offered, rows, pairs, wanted.visits or MOST_VISITS, machine)
+    picked = tuple(sorted((offered[k] for k in chosen), key=lambda b: b.case.name))
+    after = laid.state(_followed_by(recording, picked, machine)) if picked else before
+    table = [
+        {"effect": pair.of[0], "joint": pair.of[1], "for": pair.by[0], "for_joint": pair.by[1],
+         "before": pair.strength(before.s), "after": pair.strength(after.s)}
+        for pair in pairs
+    ]  # fmt: skip
+    seconds = float(sum(block.seconds(machine).sum() for block in picked))
+    return Separation(table, picked, _script(wanted, picked, table), seconds)
+
+
+# --- what is known so far -------------------------------------------------------------------------------------------
+def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
+    """The visits made or planned, what is believed, loads that may be put on (empty first), the repeatability [m]."""
+    machine, known = wanted.machine, wanted.so_far
+    point = machine.point("treatment" if "treatment" in machine.points else "tip")
+    empty = LoadCase("empty", 0.0, (0.0, 0.0, 0.0))
+    if isinstance(known, Plan):
+        recording = would_be(known)
+        belief = typical(machine, len(recording), point)
+        cases = list(known.script.loads)
+    else:
+        recording = known.subset(np.asarray(known.seen.any(axis=1)))
+        found = identify(machine, recording)
+        belief = learnt(found.model.machine, len(recording), found.groups, found.noise, recording.source)
+        cases = list(loads_for(machine, point, None, None)[1])
+    unit = float(np.sqrt(np.trace(belief.noise.pose[:3, :3])))
+    return recording, belief, [empty, *(c for c in cases if c.mass > 0)], unit
+
+
+def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) -> Recording:
+    """A recording and then blocks of visits, in its own columns; the air goes on from its last temperature."""
+    q = np.concatenate([block.q for block in more])
+    cases = [block.case for block in more for _ in block.q]
+    last = recording.time[-1]
+    hours = np.cumsum(np.concatenate([block.seconds(machine) for block in more])) / 3600.0
+    via = np.vstack([recording.q[-1:], q[:-1]])
+    signs = approaches(q, via)
+    for k in range(len(signs)):  # what has not moved yet keeps the direction it had
+        signs[k] = np.where(signs[k] == 0, recording.approach[-1], signs[k])
+    seen = np.ones((len(q), len(machine.targets)), dtype=bool)
+    new = pretended(machine, ["separate"] * len(q), cases, q, signs, hours, 5.0, seen)
+    later = hours * 3600.0 + (0.0 if math.isnan(last) else last)
+    air = new.temperatures["air"]
+    return replace(
+        recording,
+        time=np.concatenate([recording.time, np.full(len(q), np.nan) if math.isnan(last) else later]),
+        step=(*recording.step, *new.step), load=(*recording.load, *new.load),
+        q=np.concatenate([recording.q, q]), q_cmd=np.concatenate([recording.q_cmd, q]),
+        approach=np.concatenate([recording.approach, signs]),
+        settle_s=np.concatenate([recording.settle_s, new.settle_s]),
+        wrench=np.concatenate([recording.wrench, new.wrench]),
+        points=np.concatenate([recording.points, new.points]),
+        extra_points={}, covariates={},
+        temperatures={k: np.concatenate([t, t[-1] + air - air[0]]) for k, t in recording.temperatures.items()},
+        has_approach=True,
+    )  # fmt: skip
+
+
+# --- what competes --------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Pair:
+    """of, by: names; forms (F, K) coefficients of `of`'s forms at 1 × repeatability; rivals (K,) columns of `by`."""
+
+    of: Name
+    by: Name
+    forms: Array
+    rivals: NDArray[np.int64]
+
+    def strength(self, s: Array) -> float:
+        """√λ of the middling form: one that is easily told apart shall not speak for the others."""
+        cross = self.forms @ s[:, self.rivals]
+        inner = s[np.ix_(self.rivals, self.rivals)] + np.eye(len(self.rivals)) / AMPLITUDE**2
+        left = np.einsum("fk,kl,fl->f", self.forms, s, self.forms)
+        left -= np.einsum("fb,bf->f", cross, np.linalg.solve(inner, cross.T))
+        return float(np.sqrt(max(0.0, float(np.median(left)))))
+
+
+def _columns(rich: Context, wanted: Wanted) -> tuple[list[Column], list[_Pair]]:
+    """Columns of all forms of both effects, each once, and the pairs of names to be told apart."""
+    every = library(rich)
+    forms: dict[Name, list[Candidate]] = {}
+    for effect in wanted.effects:
+        mine = [k for k in every if k.effect == effect]
+        if not mine:
+            known = sorted({k.effect for k in every})
+            raise CampaignError(
+                f"--to-separate: '{effect}' has no form that these visits could show (there are: {', '.join(known)})"
+            )
+        for k in thinned(mine, FORMS)[0]:
+            forms.setdefault((effect, k.joint), []).append(k)
+    a, b = wanted.effects
+    met = [
+        (one, two) for one in forms if one[0] == a for two in forms if two[0] == b
+        if one[1] == two[1] or one[1] is None or two[1] is None
+    ]  # fmt: skip
+    if wanted.joint is not None:
+        met = [(one, two) for one, two in met if {one[1], two[1]} <= {wanted.joint, None}]
+    if not met:
+        raise CampaignError(f"--to-separate: {a} and {b} share no joint{_of(wanted.joint)}")
+    columns: list[Column] = []
+    at: dict[str, int] = {}
+    for name in {name for pair in met for name in pair}:
+        for k in forms[name]:
+            for column in k.columns:
+                if repr(column) not in at:
+                    at[repr(column)] = len(columns)
+                    columns.append(column)
+    pairs = []
+    for one, two in met:
+        for of, by in ((one, two), (two, one)):
+            rivals = sorted({at[repr(c)] for k in forms[by] for c in k.columns})
+            each = np.zeros((len(forms[of]), len(columns)))
+            for row, k in zip(each, forms[of], strict=True):
+                row[[at[repr(c)] for c in k.columns]] = 1.0 / np.sqrt(len(k.columns))
+            pairs.append(_Pair(of, by, each, np.array(rivals)))
+    return columns, pairs
+
+
+def _rms(displacement: Array, recording: Recording) -> float:
+    return float(np.sqrt((displacement**2).sum() / max(int(recording.seen.sum()), 1)))
+
+
+# --- information ----------------------------------------------------------------------------------------------------
+@dataclass
+class _State:
+    """p (P, P) posterior covariance of the base model's parameters, prior of unit size; h (P, K) XᵀR⁻¹F; s (K, K)."""
+
+    p: Array
+    h: Array
+    s: Array
+
+    def copy(self) -> _State:
+        return _State(self.p.copy(), self.h.copy(), self.s.copy())
+
+    def gain(self, x: Array, f: Array) -> Array:
+        """(K, K) what rows x (m, P), f (m, K) add to s."""
+        r, whole, _ = self._new(x, f)
+        return np.asarray(r.T @ np.linalg.solve(whole, r))
+
+    def take(self, x: Array, f: Array) -> None:
+        r, whole, xp = self._new(x, f)
+        self.s = self.s + r.T @ np.linalg.solve(whole, r)
+        self.h = self.h + x.T @ f
+        self.p = self.p - xp.T @ np.linalg.solve(whole, xp)
+
+    def _new(self, x: Array, f: Array) -> tuple[Array, Array, Array]:
+        xp = x @ self.p
+        return f - xp @ self.h, np.eye(len(x)) + xp @ x.T, xp
+
+
+@dataclass
+class _Laid:
+    """Rows of visits: the base model's columns in units of their priors, and the effects' at 1 × repeatability."""
+
+    belief: Belief
+    theta: Array
+    frame: Array
+    reference: dict[str, float]
+    columns: Sequence[Column]
+    scale: Array
+
+    def state(self, recording: Recording) -> _State:
+        x, f = self.rows(recording, len(recording))
+        p: Array = np.linalg.inv(np.eye(x.shape[1]) + x.T @ x)
+        h = x.T @ f
+        return _State(p, h, np.asarray(f.T @ f - h.T @ p @ h))
+
+    def rows(self, recording: Recording, last: int) -> tuple[Array, Array]:
+        """White rows (m, P) and (m, K) of the last visits of a recording."""
+        context = Context.of(self.belief.model, self.theta, recording, self.frame, dict(self.reference))
+        f = np.stack([c.evaluate(context) for c in self.columns], axis=2)[-last:] * self.scale
+        lin = self.belief.model.linearise(Situation.of(recording.subset(np.arange(len(recording))[-last:])), self.theta)
+        seen = recording.seen[-last:]
+        root = np.linalg.inv(np.linalg.cholesky(self.belief.noise.covariance(lin.levers, seen, np.ones(last))))
+        rows = np.repeat(seen, 3, axis=1)
+        root = root * (rows[:, :, None] & rows[:, None, :])
+        x = lin.design.reshape(last, rows.shape[1], -1) * (CAUTION * self.belief.strengths)
+        x, f = root @ x, root @ f
+        return x.reshape(-1, x.shape[2]), f.reshape(-1, f.shape[2])
+
+
+def _greedy(
+    state: _State, offered: Sequence[Block], rows: Sequence[tuple[Array, Array]], pairs: Sequence[_Pair], most: int,
+    machine: Machine,
+) -> list[int]:  # fmt: skip
+    """Blocks in the order they are taken: the most gain per minute, until all are told apart or `most` is reached."""
+    minutes = np.array([block.seconds(machine).sum() / 60.0 for block in offered])
+    chosen: list[int] = []
+    made = 0
+    while min(pair.strength(state.s) for pair in pairs) < ENOUGH:
+        now, best, gain = _worth(pairs, state.s), -1, 0.0
+        for k, (x, f) in enumerate(rows):
+            if k in chosen or made + len(offered[k].q) > most:
+                continue
+            more = (_worth(pairs, state.s + state.gain(x, f)) - now) / minutes[k]
+            if more > gain:
+                best, gain = k, more
+        if best < 0:
+            break
+        state.take(*rows[best])
+        chosen.append(best)
+        made += len(offered[best].q)
+    return chosen
+
+
+def _worth(pairs: Sequence[_Pair], s: Array) -> float:
+    """What is told apart already counts little, what is hard counts most."""
+    return float(sum(np.log1p(pair.strength(s) ** 2 / ENOUGH**2) for pair in pairs))
+
+
+# --- the script -----------------------------------------------------------------------------------------------------
+def _script(wanted: Wanted, picked: Sequence[Block], table: Sequence[dict[str, Any]]) -> str:
+    """An ordinary campaign; every block is a step, as the visits' order is what matters."""
+    machine = wanted.machine
+    loads = {block.case.name: block.case for block in picked}
+    lines = [
+        f"# Chosen by {wanted.asked}, version {__version__}, seed {wanted.seed}.",
+        f"# Machine '{machine.name}', file {machine.sha256[:12]}. Visits that tell {wanted.effects[0]} and",
+        f"# {wanted.effects[1]} apart; expected √λ at 1 × repeatability, before and after:",
+        *(f"#   {_taken_for(r)}: {r['before']:.1f}, {r['after']:.1f}" for r in table),
+        f"name: {word(wanted.name)}",
+        f"about: {sum(len(b.q) for b in picked)} visits in blocks that are measured in the order they are written",
+        f"seed: {wanted.seed}",
+        "order: as_written",
+        "loads:",
+        *(f"  - {load_text(case)}" for case in loads.values()),
+        "steps:",
+    ]
+    for k, block in enumerate(picked, 1):
+        lines += [
+            f"  - step: block_{k}  # {block.what}",
+            "    kind: poses",
+            f"    loads: [{word(block.case.name)}]",
+            "    poses:",
+            *(f"      - {{q: {joints_text(machine.joint_names, q)}}}" for q in block.q),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _taken_for(r: dict[str, Any]) -> str:
+    same = r["joint"] == r["for_joint"]
+    return f"{r['effect']}{_of(r['joint'])} taken for {r['for']}{'' if same else _of(r['for_joint'])}"
+
+
+def _of(joint: str | None) -> str:
+    return "" if joint is None else f" of {joint}"

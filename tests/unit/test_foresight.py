@@ -1,0 +1,127 @@
+"""What a campaign would show before it is run, and the visits that tell two effects apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from campaigns.design.separate import Separation, Wanted, separate
+from campaigns.foresight import Foresight, foresee, would_be
+from campaigns.plan import Plan, plan_campaign
+from campaigns.script import load_script
+from ppshw.errors import CampaignError
+from ppshw.machine import Machine, load_machine
+
+ROOT = Path(__file__).parents[2]
+SWEEPS = """name: sweeps
+seed: 3
+order: as_written
+loads: [{name: box, mass: 100, com: [0, 0.15, 0.3]}]
+steps:
+  - {step: a, kind: sweep, joint: lateral, count: 25, direction: up}
+  - {step: b, kind: sweep, joint: longitudinal, count: 25, direction: up}
+  - {step: c, kind: sweep, joint: yaw, count: 25, direction: both}
+"""
+RANDOM = """name: anywhere
+seed: 4
+order: as_written
+reference: {every: 15, q: {}}
+loads:
+  - {name: empty, mass: 0}
+  - {name: box, mass: 150, com: [0, 0.15, 0.6]}
+  - {name: other, mass: 90, com: [0.1, 0.15, -0.4]}
+steps:
+  - {step: one, kind: random, count: 60}
+  - {step: two, kind: random, count: 60}
+"""
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine(ROOT / "machines/pps.yaml")
+
+
+def planned(text: str, machine: Machine, folder: Path) -> Plan:
+    file = folder / "campaign.yaml"
+    file.write_text(text, encoding="utf-8")
+    return plan_campaign(load_script(file), machine)
+
+
+@pytest.fixture(scope="module")
+def sweeps(machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    return planned(SWEEPS, machine, tmp_path_factory.mktemp("sweeps"))
+
+
+@pytest.fixture(scope="module")
+def seen(sweeps: Plan) -> Foresight:
+    return foresee(sweeps)
+
+
+def shares(foresight: Foresight, effect: str) -> dict[str | None, float]:
+    return {row["joint"]: row["share"] for row in foresight.rows if row["effect"] == effect}
+
+
+def test_one_joint_sweeps_are_blind_to_cross_joint_errors_and_random_poses_are_not(
+    seen: Foresight, machine: Machine, tmp_path: Path
+) -> None:
+    assert max(shares(seen, "cross_coupling").values()) < 0.01  # 0.0 % in physics.md
+    anywhere = foresee(planned(RANDOM, machine, tmp_path))
+    assert min(shares(anywhere, "cross_coupling").values()) > 0.1  # 11 % there
+    assert any("cross_coupling of every joint: add random poses" in line for line in seen.warnings())
+    assert not any("cross_coupling" in line for line in anywhere.warnings())
+
+
+def test_a_single_load_shows_neither_creep_nor_clearance_nor_nonlinear_stiffness(seen: Foresight) -> None:
+    blind = {row["effect"] for row in seen.rows if row["blind"]}
+    assert {"creep", "clearance", "nonlinear_stiffness"} <= blind
+    assert len(seen.warnings()) <= 8
+
+
+def test_a_joint_that_comes_from_one_side_only_shows_no_backlash(machine: Machine, tmp_path: Path) -> None:
+    low, _ = machine.limits()
+    text = f"""name: up
+order: as_written
+home: {{lateral: {low[0]}}}
+steps:
+  - {{step: a, kind: sweep, joint: lateral, count: 40, direction: DIRECTION}}
+"""
+    up = foresee(planned(text.replace("DIRECTION", "up"), machine, tmp_path))
+    both = foresee(planned(text.replace("DIRECTION", "both"), machine, tmp_path))
+    rows = [next(r for r in f.rows if (r["effect"], r["joint"]) == ("backlash", "lateral")) for f in (up, both)]
+    assert [row["blind"] for row in rows] == [True, False]
+    assert rows[0]["detectable_mm"] > 5 * rows[1]["detectable_mm"]  # only the first visit did not come from below
+    assert shares(up, "backlash")["yaw"] == 0.0  # never moved
+    assert shares(both, "backlash")["lateral"] > 0.5  # every position from both sides: nothing else does that
+
+
+def test_a_would_be_recording_has_the_plan_s_order_times_loads_and_directions(sweeps: Plan, machine: Machine) -> None:
+    r = would_be(sweeps)
+    assert len(r) == 100  # the last sweep there and back
+    assert r.time[-1] == pytest.approx(sum(sweeps.durations))
+    up = np.array(r.step) == "a"
+    assert (r.approach[up][1:, 0] == 1).all()
+    back = r.approach[-24:, machine.joint_names.index("yaw")]
+    assert (back == -1).all()
+    # 100 kg pull with 980.665 N, whatever the pose
+    assert np.linalg.norm(r.wrench[:, :3], axis=1) == pytest.approx(980.665)
+
+
+def test_visits_that_separate_two_effects_raise_what_tells_them_apart(
+    machine: Machine, sweeps: Plan, tmp_path: Path
+) -> None:
+    found: Separation = separate(
+        Wanted(machine, ("backlash", "friction_hysteresis"), "vertical", sweeps, 15, 1, "next", "a test")
+    )
+    assert all(r["after"] > r["before"] for r in found.rows)
+    assert any("turns back" in block.what for block in found.blocks)  # small reversals, says physics.md
+    plan = planned(found.text, machine, tmp_path)
+    wanted = np.concatenate([block.q for block in found.blocks])
+    assert np.array([v.setpoints for v in plan.visits]) == pytest.approx(wanted, abs=1e-4)  # in the order chosen
+    assert len(plan.visits) <= 15
+
+
+def test_an_effect_that_does_not_exist_cannot_be_separated(machine: Machine, sweeps: Plan) -> None:
+    with pytest.raises(CampaignError, match="gremlins"):
+        separate(Wanted(machine, ("backlash", "gremlins"), None, sweeps, None, 1, "next", "a test"))

@@ -1,0 +1,77 @@
+"""What a recording shows of each effect: sizes that are found nine times of ten, aliases that are real."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from campaigns.foresight import foresee
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.search import LEAST_FIRST
+from ppshw.diagnosis.visibility import (
+    across,
+    alias_words,
+    aliases_of,
+    directions,
+    mimicked,
+    sights,
+    thinned,
+    visibility,
+)  # fmt: skip
+from ppshw.machine import load_machine
+from tests.unit.test_foresight import RANDOM, ROOT, planned
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    machine = load_machine(ROOT / "machines/pps.yaml")
+    return foresee(planned(RANDOM, machine, tmp_path_factory.mktemp("random")), most=6).tried
+
+
+def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:
+    rng = np.random.default_rng(8)
+    noise = rng.normal(size=(200, tried.half.shape[1])) @ tried.half.T.astype(float)
+    found = []
+    for sight in sights(tried):
+        if sight.detectable > 0.01:  # the base model takes the typical form whole
+            continue
+        field = sight.seen_at * across(tried, directions(tried, np.array([sight.form])))
+        evidence = tried.by_name(tried.evidence(noise + field))[:, tried.names.index(sight.name)]
+        found.append(float((evidence >= LEAST_FIRST).mean()))
+    assert len(found) > 20
+    assert np.mean(found) == pytest.approx(0.9, abs=0.03)
+    assert min(found) > 0.8
+
+
+def test_an_effect_is_its_own_alias_and_a_different_place_is_none(tried: Tried) -> None:
+    seen = sights(tried)
+    alike = mimicked(tried, across(tried, directions(tried, np.array([s.form for s in seen]))))
+    own = [alike[k, tried.names.index(s.name)] for k, s in enumerate(seen) if s.detectable < 0.01]
+    assert np.array(own) == pytest.approx(1.0, abs=0.02)  # one of its own forms is the form itself
+    assert alike[[s.name for s in seen].index(("backlash", "yaw")), tried.names.index(("backlash", "lateral"))] < 0.2
+    assert ("backlash", "lateral") not in aliases_of(tried, ("backlash", "yaw"))
+
+
+def test_friction_that_turns_within_a_small_part_of_the_travel_is_an_alias_of_backlash(tried: Tried) -> None:
+    assert ("friction_hysteresis", "roll") in aliases_of(tried, ("backlash", "roll"))
+    words = alias_words(("backlash", "roll"), [("friction_hysteresis", "roll"), ("creep", "yaw")])
+    assert words == " This recording cannot tell it from friction_hysteresis, creep of yaw."
+    assert alias_words(("backlash", "roll"), []) == ""
+
+
+def test_rows_say_what_the_contract_asks_for(tried: Tried) -> None:
+    rows = visibility(tried.space, tried)
+    assert {"effect", "joint", "share", "detectable_mm", "aliases"} <= set(rows[0])
+    assert all(0.0 <= r["share"] <= 1.0 and r["detectable_mm"] > 0 for r in rows)
+    assert all(r["share_range"][0] <= r["share_range"][1] for r in rows)
+
+
+def test_fewer_forms_of_a_name_stand_for_all_of_them(tried: Tried) -> None:
+    every = library(tried.space.context)
+    kept, weights = thinned(every, 5)
+    assert {(k.effect, k.joint) for k in kept} == {(k.effect, k.joint) for k in every}
+    count: dict[tuple[str, str | None], float] = {}
+    for k, w in zip(kept, weights, strict=True):
+        count[k.effect, k.joint] = count.get((k.effect, k.joint), 0.0) + float(w)
+    assert set(count.values()) == {5.0}
