@@ -116,14 +116,16 @@ def main() -> None:
     one, two = np.array(ratios).T
     text = flow(
         f"{len(effects)} sealed cases of {visits} visits at 1 × repeatability, seeds {SEED} on, one of each effect. "
-        f"Here over bound: share {np.median(one):.2f} (median; {one.min():.2f} … {one.max():.2f}), √λ {np.median(two):.2f} "
+        f"Here over bound: share {np.median(one):.2f} (median; "
+        f"{one.min():.2f} … {one.max():.2f}), √λ {np.median(two):.2f} "
         f"({two.min():.2f} … {two.max():.2f})."
     )
     second = flow(
         f"Detections counted at the size said, {draws} draws of noise each, {len(power)} names in "
         f"{len(effects) if a.short else 3} recordings: {100 * detected.mean():.1f} % on average "
         f"({100 * detected.min():.0f} … {100 * detected.max():.0f} %), by any name "
-        f"{100 * np.mean([x for *_, x in power]):.1f} %. Noise alone reaches a log evidence of {reach:.2f} in 3 % of draws, {LEAST_FIRST:g} is asked for. `sights` takes "
+        f"{100 * np.mean([x for *_, x in power]):.1f} %. Noise alone reaches a log "
+        f"evidence of {reach:.2f} in 3 % of draws, {LEAST_FIRST:g} is asked for. `sights` takes "
         f"{number(float(np.median(times)))} s of processor time."
     )
     print(f"\n`python -m benchmarks.visibility`\n\n{text}\n\n{table(header, rows)}\n\n{second}\n\n{remarks(load)}")
