@@ -181,7 +181,8 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
         "log": np.log1p(t / tau),
         "step": (t >= tau).astype(float),
         "ramp": np.maximum(t - tau, 0.0),
-        "cosine": np.cos(np.pi * tau * t / max(c.frozen("hours", float(t[-1])), 1e-9)),
+        # what wanders without a law stays where it was last seen
+        "cosine": np.cos(np.pi * tau * np.clip(t / max(c.frozen("hours", float(t[-1])), 1e-9), 0.0, 1.0)),
     }
     return np.asarray(forms[form])
 
