@@ -27,11 +27,11 @@ from ppshw.terms.shapes import Column, Context, compliances
 
 Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
-CLOCK = frozenset({"clock", "step", "settling"})
-AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "wave", "load", "load_q", "load_power",
-                     "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
-                     "target_shift"})  # fmt: skip
-FROM_APPROACH = frozenset({"approach", "approach_q", "slipping"})
+CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
+AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
+                     "load_power", "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
+                     "target_shift", "covariate", "covariate_pair"})  # fmt: skip
+FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
@@ -60,7 +60,7 @@ class KnownEffects:
         self, effects: Sequence[Effect], model: Model, theta: Array, reference: Mapping[str, float],
         measuring_in_base: Array,
     ) -> None:  # fmt: skip
-        self.effects = tuple(e for e in effects if e.name != UNNAMED)  # nothing says that they stay
+        self.effects = tuple(effects)
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
@@ -83,6 +83,8 @@ class KnownEffects:
         return list(found.values())
 
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
+        if effect.name == UNNAMED:
+            return False, "nothing says that it stays: no axis is driven by it; taken as it was on average"
         if any(c.on == "points" for c in effect.columns):
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if effect.name == "zero_shift":
@@ -138,6 +140,8 @@ class KnownEffects:
     def _now(self, effect: Effect, column: Column, context: Context) -> Array:
         """The column's function at the last moment of the context; what only a clock knows at a moment known before:
         a zero as it was left, anything else on average over the recording."""
+        if column.function in ("covariate", "covariate_pair"):
+            return np.asarray(_mean_bump(column))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         hours = self._reference.get("hours", 0.0)
@@ -250,6 +254,15 @@ class KnownEffects:
         put_on = replace(now, load="now", time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
         return replace(past, known=seconds is not None)
+
+
+def _mean_bump(column: Column) -> float:
+    """What a bump over the ranks of a column (or of two) is on average over the recording, where ranks are even."""
+    count, ranks = int(column.args.get("count", 1)), np.linspace(0.0, 1.0, 10 * GRID)
+    if count < 2:
+        return 0.0
+    knots = [int(column.args[k]) for k in ("knot", "a", "b") if k in column.args]
+    return float(np.prod([np.exp(-0.5 * ((ranks * (count - 1) - k) / 1.2) ** 2).mean() for k in knots]))
 
 
 def _by_clock(column: Column) -> bool:

@@ -208,6 +208,16 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     assert "an error of the instrument, not of the machine" in found.effects[0].why
 
 
+def test_no_axis_is_driven_by_what_has_no_name() -> None:
+    """It is left as it was on average, as the base model would have had it."""
+    bump = Column("frame", "covariate", {"name": "q_lateral", "knot": 2, "count": 5}, VERTICAL + 1, TY)
+    found = asked(knowing("unexplained", None, bump, 1e-4))
+    # a bump of width 0.3 of the ranks in their middle: 0.3 √(2π) erf(0.5/(0.3 √2)) = 0.680 on average
+    plain = asked(Compensator(base()[1])).corrected
+    assert plain[VERTICAL] - found.corrected[VERTICAL] == pytest.approx(0.680 * 1e-4, rel=0.01)
+    assert "no axis is driven by it" in found.effects[0].why
+
+
 def test_a_shifted_zero_is_taken_as_it_was_left() -> None:
     column = Column("frame", "step", {"visit_time": 3.0}, VERTICAL + 1, TY)
     found = asked(knowing("zero_shift", "vertical", column, 2e-4), around=Around(1.7e9))
