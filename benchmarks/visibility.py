@@ -63,11 +63,15 @@ def own_share(space: Workspace, field: Array) -> tuple[float, float]:
     return left / float(white[:, 0] @ white[:, 0]), float(np.sqrt(max(left, 0.0)))
 
 
+def noise_scores(tried: Tried, draws: int, rng: np.random.Generator) -> Array:
+    """(draws, K) scores of all columns when there is nothing but the noise that was identified."""
+    white = rng.normal(size=(tried.half.shape[1], draws))
+    return np.asarray((tried.half @ white.astype(np.float32)).T, dtype=float)
+
+
 def counted(tried: Tried, found: list[Sight], draws: int, rng: np.random.Generator) -> list[tuple[Sight, float, float]]:
     """Per name the share of draws in which it, or anything, is found at the size said."""
-    noise = np.empty((draws, len(tried.half)))
-    for k in range(draws):
-        noise[k] = tried.half @ rng.standard_normal(tried.half.shape[1]).astype(np.float32)
+    noise = noise_scores(tried, draws, rng)
     out = []
     for sight in found:
         if not np.isfinite(tried.log_share[sight.form]):
@@ -82,11 +86,12 @@ def counted(tried: Tried, found: list[Sight], draws: int, rng: np.random.Generat
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="two cases of 90 visits, few draws")
+    parser.add_argument("--cases", type=int, default=len(EFFECTS), help="only the first so many effects")
     a = parser.parse_args()
     load = os.getloadavg()
-    effects, visits, draws = (EFFECTS[:2], 90, 40) if a.short else (EFFECTS, 450, DRAWS)
+    effects, visits, draws = (EFFECTS[:2], 90, 40) if a.short else (EFFECTS[: a.cases], 450, DRAWS)
     rows, ratios, power, times = [], [], [], []
-    reach = np.nan
+    reach, counts = np.nan, 0
     for k, effect in enumerate(effects):
         with tempfile.TemporaryDirectory() as folder:
             space, field, told = laid(Path(folder), effect, SEED + k, visits)
@@ -96,12 +101,12 @@ def main() -> None:
         times += seconds(lambda t=tried: sights(t), 1)  # type: ignore[misc]
         found = sights(tried)
         rng = np.random.default_rng(SEED + k)
-        if k == 0 or a.short or k % 5 == 0:
+        if a.short or k % 5 == 0:
+            counts += 1
             power += [(s.name[0], own, anyone) for s, own, anyone in counted(tried, found, draws, rng)]
         if k == 0:
-            noise = np.array([tried.half @ rng.standard_normal(tried.half.shape[1]).astype(np.float32)
-                              for _ in range(draws)], dtype=float)  # fmt: skip
-            reach = float(np.quantile(tried.by_name(tried.evidence(noise)).max(axis=1), 0.97))
+            quiet = tried.by_name(tried.evidence(noise_scores(tried, draws, rng)))
+            reach = float(np.quantile(quiet.max(axis=1), 0.97))
         mine = [s for s in found if s.name == (effect, told["joint"])]
         said = f"{mine[0].share:.3f} ({mine[0].shares[0]:.3f} … {mine[0].shares[1]:.3f})" if mine else "–"
         ratios.append((share / float(told["share_visible"]), strength / float(told["sqrt_lambda"])))  # type: ignore[arg-type]
@@ -122,7 +127,7 @@ def main() -> None:
     )
     second = flow(
         f"Detections counted at the size said, {draws} draws of noise each, {len(power)} names in "
-        f"{len(effects) if a.short else 3} recordings: {100 * detected.mean():.1f} % on average "
+        f"{counts} recordings: {100 * detected.mean():.1f} % on average "
         f"({100 * detected.min():.0f} … {100 * detected.max():.0f} %), by any name "
         f"{100 * np.mean([x for *_, x in power]):.1f} %. Noise alone reaches a log "
         f"evidence of {reach:.2f} in 3 % of draws, {LEAST_FIRST:g} is asked for. `sights` takes "

@@ -276,7 +276,7 @@ class _Laid:
 
     def state(self, recording: Recording) -> _State:
         x, f = self.rows(recording, len(recording))
-        p: Array = np.linalg.inv(np.eye(x.shape[1]) + x.T @ x)
+        p = np.asarray(np.linalg.inv(np.eye(x.shape[1]) + x.T @ x), dtype=np.float64)
         h = x.T @ f
         return _State(p, h, np.asarray(f.T @ f - h.T @ p @ h))
 

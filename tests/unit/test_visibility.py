@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from campaigns.foresight import foresee
+from campaigns.plan import plan_campaign
+from campaigns.script import load_script
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.search import LEAST_FIRST
@@ -20,13 +24,28 @@ from ppshw.diagnosis.visibility import (
     visibility,
 )  # fmt: skip
 from ppshw.machine import load_machine
-from tests.unit.test_foresight import RANDOM, ROOT, planned
+
+ROOT = Path(__file__).parents[2]
+RANDOM = """name: anywhere
+seed: 4
+order: as_written
+reference: {every: 15, q: {}}
+loads:
+  - {name: empty, mass: 0}
+  - {name: box, mass: 150, com: [0, 0.15, 0.6]}
+  - {name: other, mass: 90, com: [0.1, 0.15, -0.4]}
+steps:
+  - {step: one, kind: random, count: 60}
+  - {step: two, kind: random, count: 60}
+"""
 
 
 @pytest.fixture(scope="module")
 def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
     machine = load_machine(ROOT / "machines/pps.yaml")
-    return foresee(planned(RANDOM, machine, tmp_path_factory.mktemp("random")), most=6).tried
+    file = tmp_path_factory.mktemp("random") / "campaign.yaml"
+    file.write_text(RANDOM, encoding="utf-8")
+    return foresee(plan_campaign(load_script(file), machine), most=6).tried
 
 
 def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:
