@@ -218,7 +218,7 @@ def test_a_modelled_effect_makes_recording_and_twin_alike_and_the_page_shows_it(
     assert "The residual depends most on approach_vertical, read as vertical ty" in page
     assert "friction hysteresis of vertical (0.020)" in page
     without, with_it = re.search(r"([\d.]+) mm without it, ([\d.]+) mm with it", page).groups()  # type: ignore[union-attr]
-    assert float(without) > 1.2 * float(with_it)
+    assert float(without) > 1.1 * float(with_it)  # √(0.089² + 0.08²) mm, less what the base model takes of it
 
 
 def test_the_report_of_a_folder_says_what_its_diagnosis_found(rig: Rig, tmp_path: Path) -> None:
