@@ -33,9 +33,11 @@ Say = Callable[[int, int], None]
 ALLOWED_FAILURES = 1
 # Batches that lie ready at the scheduler per thread, so that none waits for this process.
 AHEAD = 3
-NO_WORKERS_S = 120.0
+NO_WORKERS_S = 300.0
 CONNECT_S = 20.0
 LOOK_AROUND_S = 2.0
+# dask gives a worker of ours up that is not back so long after it died, and then we ask for another.
+LOST_WORKER_S = 30
 
 
 @dataclass(frozen=True)
@@ -133,16 +135,16 @@ def _carried_out(function: Function, jobs: Sequence[Job], cluster: Cluster) -> I
         for job in jobs:
             yield job, _answer(function, job.arguments)
         return
-    with _client(cluster, len(jobs)) as client:
+    with _client(cluster, len(jobs)) as (client, wanted):
         size = cluster.batch
         suspects: list[Job] = []
         batches = [list(jobs[k : k + size]) for k in range(0, len(jobs), size)]
-        for batch, answers in _rolling(client, function, batches, AHEAD):
+        for batch, answers in _rolling(client, wanted, function, batches, AHEAD):
             if isinstance(answers, str):
                 suspects += batch
             else:
                 yield from zip(batch, answers, strict=True)
-        for batch, answers in _rolling(client, function, [[job] for job in suspects], 0):
+        for batch, answers in _rolling(client, wanted, function, [[job] for job in suspects], 0):
             yield batch[0], Answer(None, answers, 0.0) if isinstance(answers, str) else answers[0]
 
 
@@ -167,10 +169,13 @@ def _on_worker(function: Function, batch: Sequence[Json]) -> list[Answer]:
 
 
 def _rolling(
-    client: Any, function: Function, batches: Iterable[list[Job]], ahead: int
+    client: Any, wanted: int, function: Function, batches: Iterable[list[Job]], ahead: int
 ) -> Iterator[tuple[list[Job], list[Answer] | str]]:
     """Hand out batches, never more than `ahead` per thread at a time (0: one by one), so that neither this process nor
-    the scheduler ever holds a study's million; yields each with its outcomes, or the reason why dask gave it up."""
+    the scheduler ever holds a study's million; yields each with its answers, or the reason why dask gave it up.
+
+    wanted  workers of a cluster of our own, which we keep alive; 0: it is somebody else's
+    """
     killed = import_module("distributed").KilledWorker
     waiting = iter(batches)
     inside: dict[Any, list[Job]] = {}
@@ -182,6 +187,8 @@ def _rolling(
         if now - looked > LOOK_AROUND_S:
             threads, looked = sum(client.nthreads().values()), now
             most = max(1, ahead * threads)
+            if threads < wanted:  # one that died while it was being started is not restarted by its nanny
+                client.cluster.scale(wanted)
             alive = now if threads else alive
             if now - alive > NO_WORKERS_S:
                 raise PpshwError(f"{client.scheduler.address}: no workers for {NO_WORKERS_S:g} s; "
@@ -200,20 +207,33 @@ def _rolling(
             future = done.get(timeout=LOOK_AROUND_S)
         except queue.Empty:
             continue
-        batch = inside.pop(future)
-        if future.status == "finished":
-            yield batch, future.result()
-        elif future.status == "error" and isinstance(future.exception(), killed):
-            yield batch, "its workers died, one after the other"
-        elif future.status == "error":
-            raise PpshwError(f"workers cannot run {name_of(function)}: {future.exception()}")
+        answers = _settled(future, function, killed)
+        if answers is None:  # its worker died before the result was fetched: it is done again, and waited for again
+            future.add_done_callback(done.put)
         else:
-            raise PpshwError(f"{client.scheduler.address}: lost ({future.status}); the same command again goes on")
+            yield inside.pop(future), answers
+
+
+def _settled(future: Any, function: Function, killed: type[Exception]) -> list[Answer] | str | None:
+    """A finished future's answers, or why dask gave it up; None: it is not finished any more."""
+    if future.status == "finished":
+        try:
+            answers: list[Answer] = future.result(timeout=LOOK_AROUND_S)
+        except TimeoutError:
+            return None
+        return answers
+    if future.status == "error" and isinstance(future.exception(), killed):
+        return "its workers died, one after the other"
+    if future.status == "error":
+        raise PpshwError(f"workers cannot run {name_of(function)}: {future.exception()}")
+    if future.status == "cancelled":
+        raise PpshwError("the scheduler is gone; the same command again goes on from here")
+    return None
 
 
 @contextmanager
-def _client(cluster: Cluster, jobs: int) -> Iterator[Any]:
-    """A connection to the scheduler, or a cluster of processes of our own that ends with it."""
+def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
+    """A connection to the scheduler, or a cluster of processes of our own that ends with it, and how many they are."""
     try:
         dask, distributed = import_module("dask"), import_module("distributed")
     except ImportError as missing:
@@ -221,19 +241,25 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[Any]:
             f"module {missing.name} is missing: pip install 'ppshw[studies]', or --workers 0 for one process without it"
         ) from None
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they share the cores already
-    quiet = {"logging": {"distributed": "critical"}, "distributed.scheduler.allowed-failures": ALLOWED_FAILURES}
+    settings = {
+        "logging": {"distributed": "critical"},
+        "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
+        "distributed.deploy.lost-worker-timeout": LOST_WORKER_S,
+        "distributed.comm.timeouts": {"connect": "120s", "tcp": "120s"},  # a busy computer is no lost connection
+    }
     if cluster.scheduler is not None:
         try:
             client = distributed.Client(cluster.scheduler, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as problem:
             raise BadInput(f"{cluster.scheduler}: no scheduler answers there ({problem})") from None
         with client:
-            yield client
+            yield client, 0
         return
+    count = min(cluster.workers, jobs)
     with (
-        dask.config.set(quiet),
-        distributed.LocalCluster(n_workers=min(cluster.workers, jobs), threads_per_worker=1, processes=True,
+        dask.config.set(settings),
+        distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
                                  dashboard_address="127.0.0.1:0", silence_logs="CRITICAL") as local,
         distributed.Client(local, set_as_default=False) as client,
     ):  # fmt: skip
-        yield client
+        yield client, count

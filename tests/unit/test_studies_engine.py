@@ -80,6 +80,14 @@ def test_a_worker_lost_in_the_middle_costs_no_result(tmp_path: Path) -> None:
     assert found.results == {f"seed{k}": thrown(k) for k in range(8)}
 
 
+def test_workers_that_dask_gave_up_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a computer with too much to do a worker may take longer to come back than dask has patience: here none."""
+    monkeypatch.setattr(engine, "LOST_WORKER_S", "1ms")
+    monkeypatch.setattr(engine, "NO_WORKERS_S", 100.0)
+    found = run_jobs(study_jobs.falls_over_once, jobs(5, marks=str(tmp_path)), cluster=Cluster(workers=1))
+    assert found.results == {f"seed{k}": thrown(k) for k in range(5)}
+
+
 def test_a_job_that_keeps_killing_its_workers_is_lost_alone(tmp_path: Path) -> None:
     """Two jobs share its batch, and others wait at its worker; none of them is blamed."""
     journal = tmp_path / "results.jsonl"
