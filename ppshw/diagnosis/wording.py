@@ -107,7 +107,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "creep":
         names, units = (["share"], ["1"]) if candidate.joint is None else (["compliance"], [f"{unit}/(N m)"])
     out: dict[str, dict[str, Any]] = {
-        name: {"value": float(v * f), "std": float(s * f), "unit": u}
+        name: {"value": float(v * f), "std": float(s * abs(f)), "unit": u}
         for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
     }
     for name, value in candidate.shape.items():

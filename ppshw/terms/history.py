@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+FORGOTTEN_H = 8.0  # when creep with the logarithm of time is taken to have ended; a guess: a shift
 STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
 
 
@@ -101,21 +102,27 @@ def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
 
 
 def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str) -> Array:
-    """What of the load changes is still to come, Σ ΔL e^(−age/τ) ("exponential"), or goes on coming,
-    Σ ΔL ln(1 + age/τ) ("log"): loads superpose (Boltzmann). Changes are put halfway between two visits. What hung there
-    before the first visit is taken to have hung there for long; "first" is e^(−t/τ) of it, had it come just then.
+    """What of the load changes is still to come: loads superpose (Boltzmann), Σ ΔL r(age), with
+
+        r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
+
+    Changes are put halfway between two visits. What hung there before the first visit is taken to have hung there for
+    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0).
 
     payload (N, k) in any measure that adds up;  returns (N, k)
     """
     if form == "first":
-        return np.asarray(payload[0] * np.exp(-(hours - hours[0]) / tau)[:, None])
+        return np.asarray(payload[0] * np.exp(-hours / tau)[:, None])
     out = np.zeros_like(payload)
     for k in range(1, len(payload)):
         if load[k] == load[k - 1]:
             continue
         age = hours[k:] - 0.5 * (hours[k] + hours[k - 1])
-        kernel = np.exp(-age / tau) if form == "exponential" else np.log1p(age / tau)
-        out[k:] += (payload[k] - payload[k - 1]) * kernel[:, None]
+        if form == "exponential":
+            remaining = np.exp(-age / tau)
+        else:
+            remaining = np.maximum(1.0 - np.log1p(age / tau) / np.log1p(FORGOTTEN_H / tau), 0.0)
+        out[k:] += (payload[k] - payload[k - 1]) * remaining[:, None]
     return out
 
 

@@ -236,8 +236,7 @@ def load_side_held(c: Context, frame: int, component: int, width: float) -> Arra
 
 
 def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
-    """A component of the wrench on a frame that former load changes have not brought yet ("exponential"), or that goes
-    on growing after them ("log")."""
+    """A component of the wrench on a frame that former load changes have not brought yet; forms: see `load_memory`."""
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
@@ -314,7 +313,7 @@ def named_column(c: Context, name: str) -> Array:
 
 # --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
 def creep(c: Context, tau: float, form: str) -> Array:
-    """What is still missing of every link's deflection after load changes, or goes on after them."""
+    """What is still missing of every link's deflection after load changes."""
     return -_deflection(c, _late(c, tau, form))
 
 

@@ -42,8 +42,9 @@ def test_a_load_change_fades_and_the_next_one_adds_to_it() -> None:
     # put on half way between two visits: 0.5 h, 1.5 h and 2.5 h later
     expected = [0.0, 20 * np.exp(-0.5), 20 * np.exp(-1.5), 20 * np.exp(-2.5) - 30 * np.exp(-0.5)]
     assert np.allclose(fading, expected)
-    growing = load_memory(payload, load, hours, 1.0, "log")[:, 0]
-    assert np.allclose(growing, [0.0, 20 * np.log(1.5), 20 * np.log(2.5), 20 * np.log(3.5) - 30 * np.log(1.5)])
+    slowly = load_memory(payload, load, hours, 1.0, "log")[:, 0]
+    left = [1 - np.log(1 + age) / np.log(9) for age in (0.5, 1.5, 2.5)]  # nothing after eight hours
+    assert np.allclose(slowly, [0.0, 20 * left[0], 20 * left[1], 20 * left[2] - 30 * left[0]])
     assert np.allclose(load_memory(payload, load, hours, 2.0, "first")[:, 0], 10 * np.exp(-hours / 2))
 
 
