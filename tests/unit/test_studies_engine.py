@@ -122,14 +122,17 @@ def test_the_same_call_again_computes_only_what_is_missing(tmp_path: Path) -> No
     assert list(again.results) == [f"seed{k}" for k in range(5)]
 
 
-def test_what_a_killed_study_had_finished_is_kept(tmp_path: Path) -> None:
+def test_what_a_killed_study_had_finished_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """SIGKILL in the middle: what was finished is in the journal, and the next call takes it from there."""
     journal = tmp_path / "results.jsonl"
     code = (
-        "import study_jobs; from pathlib import Path; from ppshw.studies.engine import *;"
+        "import study_jobs; from pathlib import Path; from ppshw.studies import journal;"
+        "from ppshw.studies.engine import *;"
+        "journal.code = lambda: 'of this test';"  # so that nobody edits it in between
         "run_jobs(study_jobs.slow_dice, [Job(f'seed{k}', {'seed': k, 'seconds': 0.02 if k < 3 else 60.0}) "
         f"for k in range(4)], Path({str(journal)!r}), Cluster(workers=0))"
     )
+    monkeypatch.setattr("ppshw.studies.journal.code", lambda: "of this test")
     env = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{Path(__file__).parent}"}
     process = subprocess.Popen([sys.executable, "-c", code], env=env, cwd=tmp_path)
     while not journal.exists() or journal.read_text().count("\n") < 3:
