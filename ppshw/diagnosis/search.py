@@ -176,7 +176,9 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         for column in f.near:
             value = column.evaluate(space.context)
             columns.append(value)
-            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / max(_rms(space, value), 1e-30))
+            # what wanders does so with half the amplitude at twice the pace, like a random walk
+            pace = float(column.args["tau"]) if column.args.get("form") == "cosine" else 1.0
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, value), 1e-30))
     space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
 
 
