@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import Found, coefficients
+from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import named_column
 
@@ -28,6 +29,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         for (effect, joint), weight in weights.items()
         if (effect, joint) != found.name and weight >= LEAST_WEIGHT
     ]
+    aliases = [] if candidate.effect == "nameless" else aliases_of(tried, found.name, found.best, values)
     return {
         "effect": candidate.effect,
         "joint": candidate.joint,
@@ -40,7 +42,8 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "rms_mm": rms * 1e3,
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
-        "sentence": sentence(candidate, values, rms),
+        "aliases": [{"effect": effect, "joint": joint} for effect, joint in aliases],
+        "sentence": sentence(candidate, values, rms) + alias_words(found.name, aliases),
     }
 
 
