@@ -89,7 +89,7 @@ def main() -> None:
                 str(visits), number(prediction.mean()), f"{prediction.min():.0f} … {prediction.max():.0f}",
                 number(reading.mean()), f"{reading.min():.0f} … {reading.max():.0f}", f"{found[:, 2].mean() / 100:.3f}",
             ])  # fmt: skip
-    print(f"`python -m benchmarks.coverage`, {given.machine.name}, {seeds} machines: % within 95 % intervals; bar 93 … 97")
+    print(f"`python -m benchmarks.coverage`, {given.machine.name}, {seeds} machines: % within 95 %; bar 93 … 97")
     header = ["visits", "predictions", "least … most", "readings", "least … most", "log score"]
     print("\n" + table(header, rows))
 
