@@ -4,7 +4,7 @@ The question is asked of constants, slopes, compliances and targets, with the pr
 yet (the terms' `start`), not with what was learnt: a strength learnt to be nothing answers no question. In units of
 that prior S, with information I = S XᵀR⁻¹X S, a column whose part beyond all others is less than 1 is hardly known
 better after the recording than before (pivoted Cholesky, LAPACK dpstrf). It then moves the targets like a combination
-of others. docs/derivations.md §5.4.
+of others. docs/derivations.md §5.5.
 """
 
 from __future__ import annotations

@@ -154,7 +154,7 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
             state.form, state.noise, told = judged.noise(previous, rank, form)
         else:
             state.noise = judged.first_noise(previous, rank)
-        if settled and judged.moved < STILL and told < SAME_NOISE:
+        if settled and judged.moved < STILL and judged.far < FAR and told < SAME_NOISE:
             break
         if turn > 0:
             rows = linear.rows * level(previous, state.noise)
@@ -171,10 +171,9 @@ def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask
     linear = task.linearised(state, everyone)
     state.weights = np.ones(len(everyone))
     freedom = 3 * task.recording.seen.sum(axis=1)
-    for block in linear:
-        # at θ₀ itself no design is needed: the residual is the data less what their own linearisation adds
-        state.weights[block.visits] = chi2.ppf(BELIEVED, freedom[block.visits]) / block.distance(state.noise)
-    state.weights = np.minimum(1.0, state.weights)
+    for block in linear:  # at θ₀ itself; the model's own uncertainty is small beside so many visits
+        distance = np.maximum(block.distance(state.noise), 1e-12)
+        state.weights[block.visits] = np.minimum(1.0, chi2.ppf(BELIEVED, freedom[block.visits]) / distance)
     gram, moment, _ = linear.normal_equations(state.noise, state.weights, kept)
     state.variances, posterior = learn(gram, moment, task.groups, kept, state.variances, STRENGTH_STEPS)
     state.theta = np.zeros(len(kept))

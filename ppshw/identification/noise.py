@@ -2,7 +2,7 @@
 
 The pose scatters in one of two ways, whichever the recording makes more likely: the end effector by one 6 × 6
 covariance wherever it stands, or every joint by variances of its own, which reach the end effector through the pose.
-docs/derivations.md §5.1.
+docs/derivations.md §5.2.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """How strong the priors are: one variance per group of parameters, by the marginal likelihood.
 
 All of it happens on the p × p normal equations; visits are not looked at. Given the others, the likelihood of one
-group's variance is a function of one number that can be written down (5.3), so that every group is moved towards its
+group's variance is a function of one number that can be written down (5.5), so that every group is moved towards its
 maximum instead of by a fixed point's small steps. Variances of the same kind of group (the shifts' first waves, say)
-are drawn together over the joints. docs/derivations.md §5.
+are drawn together over the joints. docs/derivations.md §5.3.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Posterior:
     root: Array
 
     def covariance(self, groups: Groups, active: Mask) -> Array:
-        """(p, p), with what the strengths are not known to   (5.4, 5.5).
+        """(p, p), with what the strengths are not known to   (5.6).
 
         The strengths' logarithms scatter by the inverse of their Fisher information F; θ moves with them by
         D_g = Cov θ Λ⁻¹ θ restricted to group g (Kackar & Harville 1984).
@@ -157,7 +157,7 @@ def _moved(variances: Array, z: Array, root: Array, members: list[tuple[int, Ind
     With the group left out, the data hold of it the information S and the score q, which its posterior tells:
     Cov⁻¹ − I and Cov⁻¹ z, both in units of its prior. A variance t times the present one then has
 
-        2 log L(t) = Σ t w²/(1 + t e) − log(1 + t e) − (log t λ − μ)²/ALIKE²                       (5.3)
+        2 log L(t) = Σ t w²/(1 + t e) − log(1 + t e) − (log t λ − μ)²/ALIKE²                       (5.5)
 
     e, w: S's eigenvalues and q along its eigenvectors (Tipping & Faul 2003, for groups); μ of its kind.
     """

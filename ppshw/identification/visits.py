@@ -3,7 +3,7 @@
 However many targets a visit has, the model moves them as one rigid body, in six ways. With H (3T × 6) how they move, in
 the end effector's axes, H = U A with orthonormal U, a visit is the six numbers Uᵀy; the other 3T − 6 hold nothing but
 the instrument's noise, of which the sum of squares is kept. Where targets are parameters themselves, nothing is
-reduced. docs/derivations.md §5.2.
+reduced. docs/derivations.md §5.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[2]
         ("compensate", ["ordinary scheduling", "In bulk"]),
         ("accuracy", ["| 67 |", "noise alone"]),
         ("coverage", ["| 100 |", "log score"]),
+        ("noise_forms", ["| pps | each its own |", "chosen"]),
         ("designed", ["| designed, 12 |", "noise alone"]),
     ],
 )
