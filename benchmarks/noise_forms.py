@@ -4,7 +4,7 @@
 
 Every simulated machine scatters in one of three ways: all joints alike (how the plants are made), every joint by a
 factor of its own between 1/4 and 4 (its shifts, its turns), or the last link alone. It is identified with each form of
-noise and with the one that the estimate chooses. Larger is better; 0.01 per coordinate is 1 % of the likelihood of each.
+noise and with the one that the estimate chooses. Larger is better; 0.01 per coordinate is 1 % of each likelihood.
 """
 
 from __future__ import annotations
