@@ -22,7 +22,7 @@ from ppshw.identification.judgement import Judgement, level
 from ppshw.identification.noise import Noise, pose_rank
 from ppshw.identification.noise_fit import Form
 from ppshw.identification.start import align, fold, to_base
-from ppshw.identification.strengths import LARGEST, Groups, Posterior, learn, silent
+from ppshw.identification.strengths import Groups, Posterior, learn, silent
 from ppshw.identification.visits import Linearisation
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -112,6 +112,7 @@ def estimate(
     if not used.all():
         recording = recording.subset(used)
     model, frame = _start(model, recording)
+    # where the alignment put an unknown tracker is off by what the machine is: that is known before, not learnt
     open_base = [f"geometric.{model.machine.frame_names[0]}."] if model.machine.tracker.base is None else []
     groups = Groups.among(model.parameters(), held=open_base)
     count = len(recording)
@@ -218,9 +219,8 @@ def _first_state(task: _Task, frame: Array) -> _State:
     gap = (to_base(some.points, frame) - task.model.predict(Situation.of(some), theta))[some.seen]
     sigma = max((machine.repeatability or 1.4e-4) / 3, FIRST_NOISE_SHARE * float(np.sqrt((gap**2).mean())))
     noise = Noise(np.diag([sigma**2] * 6), machine.tracker.position_sigma)
-    variances = np.where(groups.held, LARGEST, 1.0) * groups.start**2
     everything = np.ones(len(theta), dtype=bool)
-    return _State(theta, variances, noise, None, np.ones(len(task.which)), frame, everything)
+    return _State(theta, groups.start**2, noise, None, np.ones(len(task.which)), frame, everything)
 
 
 def _fold_base(model: Model, theta: Array, frame: Array) -> tuple[Array, Array]:
