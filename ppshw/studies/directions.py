@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 WHATS = {"nominal": "not compensated", "residual": "residual", "model": "of it the model's"}
 AXES = ("x (lateral)", "y (vertical)", "z (longitudinal)")
 CELL_MM = 500.0
-ARROW, RESIDUAL_ARROW = 40.0, 400.0  # how much longer than they are arrows are drawn
 
 
 def jobs(seeds: Sequence[int], short: bool, prepared: Json) -> list[Job]:
@@ -66,21 +65,20 @@ def _all(outcome: Outcome, what: str, scale: float) -> Array:
 
 
 def draw(outcome: Outcome, rows: Rows, path: Path) -> None:
-    """The first machine's errors from the front; where over all machines the model's error is; components."""
+    """The first machine's errors as in figure 10; over all machines where the model's error is, and components."""
     from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
 
     figure = Figure(figsize=(13.5, 4.4), layout="constrained")
     front, volume, parts = figure.subplots(1, 3)
     first = next(iter(outcome.results.values()))
-    at = np.array(first["at"]) / 1e3
-    for what, colour, factor in (("nominal", "tab:gray", ARROW), ("residual", "tab:blue", RESIDUAL_ARROW)):
-        arrows = np.array(first[what]) * 1e-6 * factor
-        front.quiver(
-            at[:, 0], at[:, 1], arrows[:, 0], arrows[:, 1], angles="xy", scale_units="xy", scale=1, color=colour,
-            width=0.003, label=f"{WHATS[what]}, × {factor:.0f}",
-        )  # fmt: skip
-    front.set(xlabel="x [m]", ylabel="y [m]", title="one machine from the front", aspect="equal")
-    front.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, -0.55))
+    for what, mark, colour in (("nominal", "o", "tab:gray"), ("residual", "x", "tab:blue")):
+        x, y, _ = np.array(first[what]).T / 1e3
+        front.plot(x, y, mark, color=colour, mfc="none", ms=4, label=WHATS[what])
+    front.add_patch(Circle((0.0, 0.0), 0.5, fill=False, color="black", lw=0.8, label="0.5 mm"))
+    front.set(xlabel="error in x [mm]", ylabel="error in y [mm]", title="one machine, from the front", aspect="equal")
+    front.set_xlim(-4.5, 4.5)
+    front.legend(fontsize=8, loc="lower left")
     _map(volume, _all(outcome, "at", 1e-3), np.linalg.norm(_all(outcome, "model", 1e-3), axis=1), figure)
     edges = np.arange(-0.3, 0.301, 0.01)
     for k, axis in enumerate(AXES):

@@ -67,7 +67,7 @@ def draw(outcome: Outcome, rows: Rows, path: Path) -> None:
     right.axvline(0.41, color="tab:red", ls=":", lw=1)
     right.axvline(0.45, color="tab:red", ls=":", lw=1)
     left.set(xlabel="residual at the treatment point [mm] (dashed: 98.6 %)", ylabel="share of visits [%]")
-    right.set(xlabel="98.6 % of one machine's residuals [mm] (dotted: the paper's 0.41, 0.45)", ylabel="machines")
+    right.set(xlabel="98.6 % of one machine [mm] (dotted: the paper's two)", ylabel="machines")
     figure.savefig(path, dpi=110)
 
 
