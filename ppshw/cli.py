@@ -336,16 +336,20 @@ def diagnose(a: argparse.Namespace) -> None:
     """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
     from ppshw.diagnosis import diagnose as run
     from ppshw.diagnosis.checks import sentence
+    from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.recording import load_recording
 
+    without = frozenset(a.without)
+    if not without <= set(NAMES):
+        raise BadInput(f"--without {min(without - set(NAMES))}: no such effect, expected some of {', '.join(NAMES)}")
     machine = _machine(a)
     recording = load_recording(a.rec, machine)
     for out in (a.json, a.out, a.page):
         if out is not None:
             _new_file(out, a.rec, a.machine)
     with Bar() as bar:
-        found = run(machine, recording, progress=lambda k, n: bar("diagnose", k, n))
+        found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     answer = found.answer
     if a.page is not None:
         from ppshw.report.diagnosis import write_diagnosis
@@ -398,9 +402,9 @@ def twin(a: argparse.Namespace) -> None:
 
 
 def prove(a: argparse.Namespace) -> None:
-    from ppshw.prove import deck, run_prove, sentences, short_deck
+    from ppshw.prove import deck, removed_deck, run_prove, sentences, short_deck
 
-    cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed)
+    cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed) + removed_deck(a.removed, a.seed)
     with Bar() as bar:
         answer = run_prove(Path(a.out), cases, workers=a.workers, scheduler=a.scheduler, say=bar)
     _say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
@@ -815,6 +819,7 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--json", required=True, metavar="OUT.json", help="the answer")
     p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
     p.add_argument("--page", metavar="OUT.html", help="a page with pictures: where it sits, what was found, how sure")
+    p.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects that are not to be thought of")
 
     p = add("twin", twin, "what a calibration says the visits of a recording would have read, and whether they did")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
@@ -827,6 +832,8 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--out", required=True, metavar="DIR")
     p.add_argument("--cases", type=_count, default=108, metavar="N", help="default: 108, the whole deck once")
     p.add_argument("--seed", type=_seed, default=1)
+    p.add_argument("--removed", type=_seed, default=0, metavar="N",
+                   help="N more whose effect's name is taken out of the library (default: 0)")  # fmt: skip
     p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")
     _cluster(p)
 

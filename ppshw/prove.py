@@ -34,7 +34,8 @@ from ppshw.prove_table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
 
 # What an answer needs: (case folder, answer folder) → the contract's JSON; it may leave calibration.json there.
-Diagnoser = Callable[[Path, Path], Json]
+# A third argument takes a name out of the library, for cases that ask for it.
+Diagnoser = Callable[..., Json]
 Say = Callable[[str, int, int], None]
 TIME_LIMIT_S = 900.0
 EFFECTS = (
@@ -47,7 +48,10 @@ SIZES = (0.3, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Spec:
-    """One case to be made: the generator's arguments. fit = visits leaves nothing held out, and no gain to score."""
+    """One case to be made: the generator's arguments. fit = visits leaves nothing held out, and no gain to score.
+
+    without  a name that is taken out of the library before the diagnosis; "" for none
+    """
 
     seed: int
     machine: str
@@ -55,6 +59,7 @@ class Spec:
     size: float
     visits: int = 600
     fit: int = 450
+    without: str = ""
 
     @property
     def name(self) -> str:
@@ -85,6 +90,21 @@ def deck(count: int, seed: int, visits: int = 600, fit: int = 450) -> list[Spec]
             machine = "arm6" if rng.random() < 0.25 else "pps"
             effect, size = one[k]
             cards.append(Spec(1000 * seed + len(cards), machine, effect, size, visits, fit))
+    return cards[:count]
+
+
+def removed_deck(count: int, seed: int) -> list[Spec]:
+    """Effects of the repeatability's size that the diagnosis is not to know: what other names does it give them?
+
+    Seeds begin at 1000·seed + 600, beyond those of a deck. Outliers are no class of the library.
+    """
+    rng = np.random.default_rng([seed, 6])
+    effects = [e for e in EFFECTS if e != "outliers"]
+    cards: list[Spec] = []
+    while len(cards) < count:
+        for k in rng.permutation(len(effects)):
+            machine = "arm6" if rng.random() < 0.25 else "pps"
+            cards.append(Spec(1000 * seed + 600 + len(cards), machine, effects[k], 1.0, without=effects[k]))
     return cards[:count]
 
 
@@ -150,7 +170,7 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
         file.write(f"{spec.name} {made.stdout.strip()} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")
     answers.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
-    answer = diagnoser(case, answers)
+    answer = diagnoser(case, answers, spec.without) if spec.without else diagnoser(case, answers)
     seconds = time.perf_counter() - began
     _write(answers / "answer.json", json.dumps(answer, indent=1))
     found = score_case(case, sealed, answer, answers / "calibration.json", seconds)
@@ -158,14 +178,14 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     return score
 
 
-def ppshw_diagnose(case: Path, answers: Path) -> Json:
+def ppshw_diagnose(case: Path, answers: Path, without: str = "") -> Json:
     """The command itself, as a user would run it, on what is in the case's folder."""
     said = answers / "said.json"
     command = [
         sys.executable, "-m", "ppshw.cli", "diagnose", str(case / "recording.csv"), "--machine",
         str(case / "machine.yaml"), "--json", str(said), "--out", str(answers / "calibration.json"),
     ]  # fmt: skip
-    run = _run(command)
+    run = _run([*command, "--without", without] if without else command)
     if run.returncode != 0:
         raise PpshwError(f"diagnose ended with {run.returncode}: {run.stderr.strip()}")
     return read_answer(said)

@@ -16,9 +16,18 @@ WEIGHTS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 
 
 def summarise(scores: Sequence[Json]) -> Json:
-    """What prove.json holds beside the counts: bars, effects, strengths, weights, half_power."""
+    """What prove.json holds beside the counts: bars, effects, strengths, weights, half_power.
+
+    Cases whose name was taken out of the library count for one bar only.
+    """
+    removed = [s for s in scores if s.get("spec", {}).get("without")]
+    scores = [s for s in scores if s not in removed]
     return {
-        "bars": _bars(scores),
+        "bars": [*_bars(scores), _bar("its name taken out of the library: another name", "at most", 0.10,
+                                      [bool(set(s["wrong"]) - {s["spec"]["without"]}) for s in removed])],
+        "removed": [{"effect": s["spec"]["without"], "form": s["truth"][0]["form"], "names": s["wrong"],
+                     "unexplained": s["answer"].get("unexplained") is not None,
+                     "sqrt_lambda": s["truth"][0]["sqrt_lambda"]} for s in removed],
         "effects": _by_effect(scores),
         "strengths": _by_strength(scores),
         "half_power": half_power(*points(scores)),

@@ -19,6 +19,12 @@ LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
+# What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
+NAMES = (
+    "backlash", "friction_hysteresis", "thermal_growth", "drift", "tracker_scale", "periodic_transmission",
+    "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
+    "missing_compliance", "target_moved", "unsettled",
+)  # fmt: skip
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from ppshw.identification import identify
 from ppshw.machine import load_machine
-from ppshw.prove import EFFECTS, SIZES, Spec, deck, run_prove
+from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
 from ppshw.prove_score import SealBroken, bound, judge, open_seal, score_of
 from ppshw.prove_table import half_power, share, summarise
 from ppshw.recording import load_recording
@@ -390,6 +390,24 @@ def test_an_oracle_gets_full_marks_and_silence_none(tmp_path: Path) -> None:
     assert by_name(right)["nulls: anything found"]["share"] == by_name(silent)["nulls: anything found"]["share"] == 0.0
     assert [(w["right"]["hits"], w["right"]["of"]) for w in right["weights"]] == [(6, 6)]
     assert silent["weights"] == []
+
+
+def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
+    """Two backlashes that the library must not know: one called hysteresis, one left unexplained."""
+    truth = {"effect": "backlash", "form": "play", "joint": "yaw", "also": [], "neighbours": [], "known": True,
+             "covariates": ["approach_yaw"], "sqrt_lambda": 9.0, "power": 1.0}  # fmt: skip
+    about = dict.fromkeys(("seed", "machine", "asked", "repeatability_rms_mm"), 0) | {"size": 1.0}
+    wrong = {**CONSISTENT, "verdict": "missing_physics", "findings": [
+        {"effect": "friction_hysteresis", "joint": "yaw", "weight": 0.9, "covariate": "move_yaw"}]}  # fmt: skip
+    unexplained = {**CONSISTENT, "verdict": "unexplained", "unexplained": {"covariates": ["q_yaw"]}}
+    spec = {"without": "backlash"}
+    scores = [{"spec": spec, **score_of(about, [truth], answer, None, 1.0)} for answer in (wrong, unexplained)]
+    table = summarise(scores)
+    bars = by_name(table)
+    assert (bars["its name taken out of the library: another name"]["hits"], len(table["removed"])) == (1, 2)
+    assert bars["√λ ≥ 6: detected"]["met"] == bars["effect of 1 × repeatability: right name"]["met"] == "open"
+    assert {c.effect == c.without for c in removed_deck(20, 3)} == {True}
+    assert not {c.seed for c in removed_deck(20, 3)} & {c.seed for c in deck(400, 3)}
 
 
 def test_a_lost_worker_costs_its_case_alone_and_a_second_run_takes_up_where_it_stopped(tmp_path: Path) -> None:
