@@ -176,7 +176,7 @@ def _rms(space: Workspace, f: Found | None = None, candidate: Candidate | None =
 def _channel(compared: Compared, gradient: Array, located: Map, candidate: Candidate, displaced: Array) -> int:
     """The component that shows most of what a finding does."""
     first = candidate.columns[0]
-    frame = first.frame if first.on == "frame" else -1
+    frame = first.frame if first.on == "frame" or first.function == "unexplained" else -1
     allowed = residuals.components_of(located.channels, frame, candidate.component)
     if candidate.effect == "target_moved":
         allowed = list(range(len(located.channels)))
@@ -198,7 +198,11 @@ def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:
 def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, str]]:
     if said is None:
         left = diagnosis.answer["unexplained"]
-        return [] if left is None else [("depends on", " and ".join(left["covariates"]))]
+        rows = [] if left is None else [("depends on", " and ".join(left["covariates"]))]
+        for c in diagnosis.answer.get("corrections", []):
+            over = " and ".join(c["length"])
+            rows.append(("carried as", f"a Gaussian process of {over}: {c['frame']} {', '.join(c['components'])}"))
+        return rows or [("carried", "not by a calibration")]
     rows = [("p, family-wise", f"{said['p_value']:.2g}"), ("weight of the name", f"{said['weight']:.3f}")]
     rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]
     others = [

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
                      "load_power", "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
-                     "target_shift", "covariate", "covariate_pair"})  # fmt: skip
+                     "target_shift", "covariate", "covariate_pair", "unexplained"})  # fmt: skip
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
@@ -66,7 +66,8 @@ class KnownEffects:
         columns = [c for e in effects for c in e.columns]
         self._looks_back = any(_looks_back(c) for c in columns)
         self._creeps = any(e.name == "creep" for e in effects)
-        self._bends = any(c.on == "frames" for c in columns)  # only those ask for the links' compliances
+        # only those ask for the links' compliances
+        self._bends = any(c.on == "frames" and c.function != "unexplained" for c in columns)
         self._compliance_at: tuple[Array, Array] | None = None
 
     @property
@@ -120,13 +121,18 @@ class KnownEffects:
         return out
 
     def column_errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
-        """Per coefficient (k, n+1, 6) of its unit, and the coefficients' standard deviations (k,)."""
+        """Per coefficient (k, n+1, 6) of its unit, and the coefficients' standard deviations (k,). Of a Gaussian
+        process none is used but its mean: the whole of it stays unsure, per component."""
         context = self._context(now, past, base, wrenches)
-        columns = [(e, c, s) for e in self.effects for c, s in zip(e.columns, e.std, strict=True)]
+        columns = [(e, c, s) for e in self.effects for c, s in zip(e.columns, e.std, strict=True)
+                   if c.function != "unexplained"]  # fmt: skip
         out = np.zeros((len(columns), *base.shape[1:]))
         for k, (effect, column, _) in enumerate(columns):
             self._add(out[k : k + 1], effect, column, 1.0, context)
-        return out, np.array([s for _, _, s in columns])
+        whole = [e.columns[0] for e in self.effects if e.columns[0].function == "unexplained"]
+        more = [self._on_frame(c, s) for c in whole for s in np.diag(c.args["amplitude"])]
+        std = np.array([s for _, _, s in columns] + [1.0] * len(more))
+        return np.concatenate([out, np.array(more).reshape(-1, *base.shape[1:])]), std
 
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
         if column.on == "points" or column.args.get("form") == "first":  # what had hung there before that recording
@@ -142,12 +148,20 @@ class KnownEffects:
         a zero as it was left, anything else on average over the recording."""
         if column.function in ("covariate", "covariate_pair"):
             return np.asarray(_mean_bump(column))
+        if column.function == "unexplained":
+            return self._on_frame(column, column.args["mean"])
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         hours = self._reference.get("hours", 0.0)
         moments = [hours] if effect.name == "zero_shift" else np.linspace(0.0, hours, GRID).tolist()
         values = [column.value(replace(context, hours=np.full_like(context.hours, h)))[-1] for h in moments]
         return np.asarray(np.mean(values, axis=0))
+
+    def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
+        """(n+1, 6) with a value for each component that a Gaussian process moves."""
+        out = np.zeros((self.machine.n + 1, 6))
+        out[column.args["frame"], column.args["components"]] = values
+        return out
 
     def _context(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Context:
         machine, here = self.machine, Situation(now.q[None], now.payload[None])

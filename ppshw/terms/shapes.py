@@ -20,6 +20,7 @@ from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
+from ppshw.terms.gaussian_process import Region
 from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up
 
 Array = NDArray[np.float64]
@@ -378,6 +379,32 @@ def _turned(frame: Array, force: Array, moment: Array) -> Array:
     return np.concatenate([(into @ force[..., None])[..., 0], (into @ moment[..., None])[..., 0]], axis=1)
 
 
+def unexplained(
+    c: Context, names: list[str], centre: list[float], spread: list[float], low: list[float], high: list[float],
+    length: list[float], sites: list[list[float]], frame: int, components: list[int], amplitude: list[float],
+    mode: list[list[float]], mean: list[float],
+) -> Array:  # fmt: skip
+    """One direction of a Gaussian process over columns, nothing where the recording it was learnt from had no data.
+
+    mode (C, m) of the process's functions for the components of a frame; amplitude, mean (C,): see `Correction`
+    """
+    region = Region(tuple(names), *map(np.array, (centre, spread, low, high, length, sites)))
+    out = np.zeros_like(c.wrenches)
+    out[:, frame, components] = region.basis(columns_at(c, region.names)) @ np.array(mode).T
+    return out
+
+
+def columns_at(c: Context, names: tuple[str, ...]) -> Array:
+    """(N, d) columns by name; nan where this recording does not have one."""
+    out = np.full((len(c.recording), len(names)), np.nan)
+    for k, name in enumerate(names):
+        try:
+            out[:, k] = named_column(c, name)
+        except KeyError:
+            continue
+    return out
+
+
 # --- on the measured points: (N, T, 3) ----------------------------------------------------------------------------
 def scale(c: Context, place: str = "") -> Array:
     """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature."""
@@ -402,5 +429,6 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
         settling, wave, load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair,
         covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
+        unexplained,
     )
 }  # fmt: skip

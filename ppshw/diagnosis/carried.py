@@ -1,0 +1,182 @@
+"""What of the findings a calibration carries, and how much better visits are predicted that no fit saw.
+
+Named findings always. Structure without a name as a Gaussian process, where that makes the held-out visits better and
+where it is no matter of time, which does not come again; so too what a named finding's form leaves over a column.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.gaussian_process import Correction, learn
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.search import Found
+from ppshw.diagnosis.wording import column_of
+from ppshw.diagnosis.workspace import Workspace, folds
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be less than this times the rms without
+
+
+@dataclass(frozen=True)
+class Carried:
+    """before, after: rms [mm] of held-out readings by the base model, and with all that is carried;
+    found: every finding with its form, corrections among them; corrections: those, in the answer's words"""
+
+    before: float
+    after: float
+    found: list[tuple[Found, Candidate]]
+    corrections: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Structure over columns that no name explains: whose finding; instead (K,): columns that a correction replaces."""
+
+    of: Found
+    names: tuple[str, ...]
+    instead: Mask
+
+
+def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
+    """Learn a correction for whatever has no name, and keep it where it earns its place.
+
+    space  has all findings taken up; left with what is carried in place of what it replaces
+    """
+    taken, prior = space.taken, space.taken_prior
+    kept = np.zeros(taken.shape[2], dtype=bool)  # columns that a calibration carries
+    for f in found:
+        f.carried = tried.candidates[f.best].effect != "nameless"
+        kept[_columns_of(f, tried)] = f.carried
+    before, after = held_out(space, taken[:, :, kept & False], prior[kept & False]), np.inf
+    after = held_out(space, taken[:, :, kept], prior[kept]) if kept.any() else before
+    beside = np.ones(taken.shape[2], dtype=bool)  # columns that stay in the fit
+    corrections: list[tuple[_Left, Correction]] = []
+    more = np.zeros((*taken.shape[:2], 0))
+    for left in _left_over(tried, found):
+        others = beside & ~left.instead
+        space.take_up(*_with(taken[:, :, others], prior[others], more))
+        correction = learn(space, left.names, tried.repeatability)
+        if correction is None:
+            continue
+        columns = np.stack([c.evaluate(space.context) for c in correction.columns()], axis=2)
+        now = np.concatenate([more, columns], axis=2)
+        mine = kept & ~left.instead
+        better = held_out(space, *_with(taken[:, :, mine], prior[mine], now))
+        if better < NAMELESS_GAIN * after:
+            after, beside, kept, more = better, others, mine, now
+            corrections.append((left, correction))
+    space.take_up(*_with(taken[:, :, beside], prior[beside], more))
+    return Carried(before, after, _placed(tried, found, beside, corrections), [
+        _words(space, left, correction) for left, correction in corrections
+    ])  # fmt: skip
+
+
+def _with(columns: Array, prior: Array, more: Array) -> tuple[Array, Array]:
+    """Further columns whose coefficients are N(0, 1) before any data."""
+    return np.concatenate([columns, more], axis=2), np.concatenate([prior, np.ones(more.shape[2])])
+
+
+def _columns_of(f: Found, tried: Tried) -> slice:
+    return slice(f.at, f.at + len(tried.candidates[f.best].columns) + len(f.near))
+
+
+def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
+    """Nameless findings, and what has no name beside the form of a named one; nothing that is a matter of time."""
+    size = max((_columns_of(f, tried).stop for f in found), default=0)
+    out: dict[tuple[str, ...], _Left] = {}
+
+    def add(f: Found, names: tuple[str, ...], which: slice | int) -> None:
+        left = out.setdefault(names, _Left(f, names, np.zeros(size, dtype=bool)))
+        left.instead[which] = True
+
+    for f in sorted(found, key=lambda f: f.name[0] != "nameless"):  # a finding of its own before another's shadow
+        candidate = tried.candidates[f.best]
+        if candidate.effect == "nameless":
+            add(f, candidate.covariates, _columns_of(f, tried))
+            continue
+        for k, column in enumerate(f.near, start=f.at + len(candidate.columns)):
+            if names := _smooth_over(column):
+                add(f, names, k)
+    return [left for left in out.values() if not a_matter_of_time(left.names)]
+
+
+def a_matter_of_time(names: tuple[str, ...]) -> bool:
+    return "time" in [column_of(name)[0] for name in names]
+
+
+def _smooth_over(column: Column) -> tuple[str, ...]:
+    """The columns that a nameless function is one of; empty for any other."""
+    keys = {"covariate": ("name",), "covariate_pair": ("first", "second")}.get(column.function, ())
+    return tuple(str(column.args[k]) for k in keys)
+
+
+def _placed(
+    tried: Tried, found: list[Found], beside: Mask, corrections: list[tuple[_Left, Correction]]
+) -> list[tuple[Found, Candidate]]:
+    """Every finding with its form, `at` where its columns now are in the workspace; corrections come last."""
+    out: list[tuple[Found, Candidate]] = []
+    replaced = {id(left.of) for left, _ in corrections if tried.candidates[left.of.best].effect == "nameless"}
+    for f in found:
+        candidate = tried.candidates[f.best]
+        start = f.at + len(candidate.columns)
+        f.near = tuple(c for k, c in enumerate(f.near, start) if beside[k])
+        f.at = int(beside[: f.at].sum())
+        if id(f) not in replaced:
+            out.append((f, candidate))
+    at = int(beside.sum())
+    for left, correction in corrections:
+        columns = correction.columns()
+        f = left.of
+        if id(f) not in replaced:  # beside a named finding
+            f = Found(f.best, ("nameless", None), f.p, correction.evidence, {("nameless", None): 1.0})
+        f.near, f.at, f.carried = (), at, True
+        out.append((f, _candidate(tried, left, correction, columns)))
+        at += len(columns)
+    return out
+
+
+def _candidate(tried: Tried, left: _Left, correction: Correction, columns: tuple[Column, ...]) -> Candidate:
+    own = COMPONENTS[correction.components[0]] if len(correction.components) == 1 else None
+    frame = tried.space.machine.frame_names[correction.frame]
+    return Candidate("nameless", None, frame, own, " × ".join(left.names), columns, covariates=left.names)
+
+
+def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, Any]:
+    """A correction in the answer's words; lengths in the columns' own units, sizes in metres or radians."""
+    said = [column_of(name) for name in left.names]
+    length = correction.region.length * correction.region.spread
+    return {
+        "effect": "unexplained",
+        "covariates": [column for column, _ in said],
+        "history": ", ".join(how for _, how in said if how) or None,
+        "frame": space.machine.frame_names[correction.frame],
+        "components": [COMPONENTS[c] for c in correction.components],
+        "length": dict(zip(left.names, length.tolist(), strict=True)),
+        "std": correction.amplitude.tolist(),
+        "region": {n: [float(a), float(b)] for n, a, b in
+                   zip(left.names, correction.region.low, correction.region.high, strict=True)},
+        "log_evidence": correction.evidence,
+    }  # fmt: skip
+
+
+def held_out(space: Workspace, columns: Array, prior: Array) -> float:
+    """rms of readings [mm] of visits the fit never saw (blocks in time, in turn), with these columns (N, 3T, k) and
+    their prior standard deviations (k,) taken up."""
+    out = np.full(space.data.shape, np.nan)
+    for held in folds(len(space.recording)):
+        part = space.with_fit(space.fit & ~held)
+        part.take_up(columns, prior)
+        out[held] = part.residual()[held]
+    out[~space.fit] = np.nan  # gross errors are no test of a model
+    square = np.nansum(out.reshape(-1, 3) ** 2, axis=1)
+    square = square[np.isfinite(out.reshape(-1, 3)).all(axis=1)]
+    return float(np.sqrt(square.mean()) * 1e3)
