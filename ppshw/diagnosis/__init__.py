@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
 from ppshw.diagnosis.library import Candidate, library, nameless
-from ppshw.diagnosis.search import LOADS, Found, search
+from ppshw.diagnosis.search import Found, search
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import column_of, finding
-from ppshw.diagnosis.workspace import Workspace, folds, prepare
+from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Mask = NDArray[np.bool_]
 LEAST_VISITS = 40
-MOST_LOOKS = 3
-NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be less than this times the rms without
 
 
 @dataclass(frozen=True)
@@ -75,26 +74,22 @@ def diagnose(
         believed[list(gross.visits)] = False
         space = prepare(machine, recording, believed, None, spread)
     tell(2, 10)
-    tried, found = _look(space, without, seed, (), lambda k: tell(2 + k, 10))
-    for again in range(MOST_LOOKS - 1):
-        # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
-        # more; and a third time where visits come back that only looked wrong
-        still = still_gross(space, gross)
-        if not found or (again and still.visits == gross.visits):
-            break
-        spread, gross = _spread(space, without, seed), still
+    tried, found = _look(space, without, seed, lambda k: tell(2 + k, 10))
+    if found:
+        # strengths and noise were learnt beside the effect; learn them again without it, and look once more
+        spread = _spread(space, without, seed)
+        gross = still_gross(space, gross)
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
         space = prepare(machine, recording, believed, base, spread)
-        moments = tuple(f.shape["time_h"] for f in (tried.candidates[g.best] for g in found) if "time_h" in f.shape)
-        tried, found = _look(space, without, seed, moments, lambda k: tell(6 + k, 10))
+        tried, found = _look(space, without, seed, lambda k: tell(6 + k, 10))
     scatter = None if "unsettled" in without else scatter_of(space, seed)
-    space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
-    answer = _answer(space, tried, found, gross, None if scatter is None else scatter.finding, mistakes)
+    space = space.as_learnt()
+    answer, carried = _answer(space, tried, found, gross, None if scatter is None else scatter.finding, mistakes)
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
-    return Diagnosis(answer, space, [(f, tried.candidates[f.best]) for f in found])
+    return Diagnosis(answer, space, carried.found)
 
 
 def _spread(space: Workspace, without: frozenset[str], seed: int) -> Array | None:
@@ -103,10 +98,10 @@ def _spread(space: Workspace, without: frozenset[str], seed: int) -> Array | Non
 
 
 def _look(
-    space: Workspace, without: frozenset[str], seed: int, moments: tuple[float, ...], tell: Callable[[int], None]
+    space: Workspace, without: frozenset[str], seed: int, tell: Callable[[int], None]
 ) -> tuple[Tried, list[Found]]:
     repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
-    tried = Tried(space, library(space.context, without, moments) + nameless(space.context), repeatability)
+    tried = Tried(space, library(space.context, without) + nameless(space.context), repeatability)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)
@@ -123,24 +118,26 @@ def _without(space: Workspace) -> Recording:
 def _answer(
     space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: dict[str, Any] | None,
     mistakes: list[Mistake],
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Carried]:
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
     findings = [m.finding() for m in mistakes] + gross.findings(space)
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)
-    before, after = _carried(space, tried, found)
     unexplained = None if not left else _unexplained(space, tried, left[0])
-    return {
+    carried = carry(space, tried, found)
+    answer = {
         "visits": len(space.recording),
         "noise_floor_mm": _noise_floor(space),
         "verdict": "unexplained" if left else "missing_physics" if findings else "consistent",
         "findings": findings,
         "unexplained": unexplained,
         "visibility": visibility(space, tried),
-        "held_out": {"rms_before_mm": before, "rms_after_mm": after},
+        "corrections": carried.corrections,
+        "held_out": {"rms_before_mm": carried.before, "rms_after_mm": carried.after},
     }
+    return answer, carried
 
 
 def _merged(found: list[Found]) -> list[Found]:
@@ -151,40 +148,6 @@ def _merged(found: list[Found]) -> list[Found]:
         if first is not f:
             first.weights = {**first.weights, f.name: first.weights.get(f.name, 0.0)}
     return list(kept.values())
-
-
-def _carried(space: Workspace, tried: Tried, found: list[Found]) -> tuple[float, float]:
-    """Held-out rms [mm] without and with what is modelled. Structure without a name is modelled where that makes the
-    held-out visits better, and where it is no matter of time, which does not come again."""
-    whole = np.zeros(space.taken.shape[2], dtype=bool)
-    named = whole.copy()
-    for f in found:
-        candidate = tried.candidates[f.best]
-        here = slice(f.at, f.at + len(candidate.columns) + len(f.near))
-        f.carried = candidate.effect != "nameless" or "time" not in [column_of(x)[0] for x in candidate.covariates]
-        whole[here] = f.carried
-        named[here] = candidate.effect != "nameless"
-    before, after = _held_out(space, whole & False), _held_out(space, named)
-    if whole.sum() > named.sum():
-        better = _held_out(space, whole)
-        if better < NAMELESS_GAIN * after:
-            return before, better
-    for f in found:
-        f.carried = tried.candidates[f.best].effect != "nameless"
-    return before, after
-
-
-def _held_out(space: Workspace, which: Mask) -> float:
-    """rms of readings [mm] of visits the fit never saw (blocks in time, in turn), with these columns taken up."""
-    out = np.full(space.data.shape, np.nan)
-    for held in folds(len(space.recording)):
-        part = space.with_fit(space.fit & ~held)
-        part.take_up(space.taken[:, :, which], space.taken_prior[which])
-        out[held] = part.residual()[held]
-    out[~space.fit] = np.nan  # gross errors are no test of a model
-    square = np.nansum(out.reshape(-1, 3) ** 2, axis=1)
-    square = square[np.isfinite(out.reshape(-1, 3)).all(axis=1)]
-    return float(np.sqrt(square.mean()) * 1e3)
 
 
 def _noise_floor(space: Workspace) -> float:
