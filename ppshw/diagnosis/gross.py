@@ -108,7 +108,8 @@ class Scatter:
 
 
 def scatter_of(space: Workspace, seed: int) -> Scatter | None:
-    """Does the scatter depend on settling time, load or the length of the move? By random exchange of whole visits."""
+    """Does the scatter depend on settling time, load or the length of the move? By random exchange of whole visits; the
+    weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001)."""
     residual = corrected_residual(space) * space.spread[space.fit, None]
     r = space.recording
     size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
@@ -142,7 +143,7 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
-        "p_value": p, "rms_mm": None, "weight": 1.0, "alternatives": [],
+        "p_value": p, "rms_mm": None, "weight": round(1 / (1 - np.e * p * np.log(p)), 4), "alternatives": [],
         "sentence": f"the scatter depends on {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
     return Scatter(finding, np.exp(whole[:, k] * strength[k] / 2))

@@ -7,7 +7,7 @@ sits in a drive. Grids of nonlinear parameters are part of the candidates: the e
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from ppshw.terms.shapes import Column, Context
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (
@@ -44,13 +45,22 @@ class Candidate:
     covariates: tuple[str, ...] = ()
 
 
-def library(c: Context, without: frozenset[str] = frozenset()) -> list[Candidate]:
-    """All candidates for a recording; shares of an effect add up to one. `without` leaves effects out."""
+def library(
+    c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = ()
+) -> list[Candidate]:
+    """All candidates for a recording; shares of an effect add up to one.
+
+    without  effects that are left out
+    moments  at which something seems to have happened [h]: what is tried at MOMENTS moments of a recording is tried
+             between all visits about them
+    """
     makers = (
-        _backlash, _friction, _thermal, _drift, _tracker_scale, _periodic, _nonlinear, _clearance, _coupling,
-        _moving_weight, _wrench, _creep, _zero_shift, _missing_compliance, _target,
+        _backlash, _friction, _thermal, _tracker_scale, _periodic, _nonlinear, _clearance, _coupling,
+        _moving_weight, _wrench, _creep, _zero_shift, _missing_compliance,
     )  # fmt: skip
-    found = [k for make in makers for k in make(c) if k.effect not in without]
+    found = [k for make in makers for k in make(c)]
+    found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
+    found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
         total[k.effect] = total.get(k.effect, 0.0) + k.share
@@ -126,7 +136,7 @@ def _thermal(c: Context) -> Iterator[Candidate]:
                     yield Candidate(*where, (flat, grows), {"lag_h": tau}, 1.0 if comp == own else 0.2)
 
 
-def _drift(c: Context) -> Iterator[Candidate]:
+def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
     forms: list[tuple[str, float]] = [("linear", 1.0)]
     forms += [("exponential", t) for t in (0.3, 0.7, 1.5, 3.0)] + [("log", t) for t in (0.1, 0.5)]
     for form, tau in forms:
@@ -135,11 +145,11 @@ def _drift(c: Context) -> Iterator[Candidate]:
         yield Candidate("drift", None, "base", None, "time", all6, {"tau_h": tau}, 1.0)
         for comp in range(6):
             yield Candidate("drift", None, "base", COMPONENTS[comp], "time", (all6[comp],), {"tau_h": tau}, 0.5)
-    for moment in _moments(c, 40):
+    for moment in moments:
         for form in ("step", "ramp"):
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
-            yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / 40)
-            yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / 40)
+            yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
+            yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
     for order in (2, 3, 4):
         waves = [
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
@@ -148,6 +158,15 @@ def _drift(c: Context) -> Iterator[Candidate]:
         for comp in range(6):
             yield Candidate("drift", None, "base", COMPONENTS[comp], "time", waves[comp], {}, 0.3)
         yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
+
+
+def _with_more(c: Context, about: Sequence[float]) -> list[float]:
+    """Forty moments, and all between two visits that are as near to one of `about` as its neighbours are."""
+    grid, every = np.array(_moments(c, MOMENTS)), np.array(_moments(c, len(c.hours)))
+    if not len(grid) or not len(about):
+        return [float(t) for t in grid]
+    away = np.min(np.abs(every[:, None] - np.array(about)), axis=1)
+    return sorted({*map(float, grid), *map(float, every[away <= 1.01 * np.diff(grid).max()])})
 
 
 def _moments(c: Context, most: int) -> list[float]:
@@ -331,7 +350,7 @@ def _zero_shift(c: Context) -> Iterator[Candidate]:
         def step(moment: float, k: int = k, own: int = own) -> Column:
             return Column("frame", "step", {"visit_time": moment}, k + 1, own)
 
-        every, some = _moments(c, 450), _moments(c, 40)
+        every, some = _moments(c, 450), _moments(c, MOMENTS)
         for moment in every:
             yield Candidate(*where, (step(moment),), {"time_h": moment}, 1.0 / len(every))
         for first, second in itertools.combinations(some, 2):
@@ -365,12 +384,11 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
             yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)
 
 
-def _target(c: Context) -> Iterator[Candidate]:
+def _target(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
     if c.points.shape[1] < 2:
         return
-    moments = [-1.0, *_moments(c, 40)]
     for t, name in enumerate(c.recording.target_names):
-        for moment in moments:
+        for moment in (-1.0, *moments):
             columns = tuple(
                 Column("points", "target_shift", {"target": t, "axis": a, "since": moment}) for a in range(3)
             )

@@ -1,0 +1,59 @@
+"""What the base model holds back must not look like an effect; what happened at a moment is looked for about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.library import MOMENTS, library
+from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
+from ppshw.terms.shapes import Column
+from simulators.concealed.case import make_case
+
+
+@pytest.fixture(scope="module")
+def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """An arm with nothing wrong beyond the model, whose own weight bends it more than any load."""
+    case: Path = tmp_path_factory.mktemp("case")
+    make_case(60531, "arm6", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 600, 450)
+    machine = load_machine(case / "machine.yaml")
+    recording = load_recording(case / "recording.csv", machine)
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool))
+
+
+def _sensor_gain(space: Workspace) -> float:
+    """Standard deviations that a gain of the force sensor is off zero, where the truth has none."""
+    column = Column("frames", "sensor_error", {"component": -1}).evaluate(space.context)[..., None]
+    space.take_up(column, np.array([10.0]))
+    found = float(space.coefficients()[1][0]) / float(np.sqrt(space.middle[0, 0]))
+    space.forget()
+    return found
+
+
+def test_compliances_held_back_by_their_prior_are_no_error_of_the_force_sensor(space: Workspace) -> None:
+    assert _sensor_gain(space.as_learnt()) < -4
+    assert abs(_sensor_gain(space)) < 2.5
+    assert _sensor_gain(space.as_learnt(but_elastic=True)) == pytest.approx(_sensor_gain(space), abs=1.0)
+
+
+def test_a_moment_that_was_found_is_sought_between_all_visits_about_it(space: Workspace) -> None:
+    """And shares of a name still add up to one."""
+    hours = space.context.hours
+
+    def moments(about: tuple[float, ...]) -> list[float]:
+        found = [k for k in library(space.context, moments=about) if k.effect == "target_moved"]
+        assert sum(k.share for k in found) == pytest.approx(1.0)
+        return sorted({k.shape["time_h"] for k in found if k.shape})
+
+    grid = moments(())
+    middle = grid[len(grid) // 2]
+    fine = moments((middle,))
+    assert MOMENTS <= len(grid) < 1.3 * MOMENTS
+    assert set(grid) < set(fine)
+    between = [t for t in 0.5 * (hours[1:] + hours[:-1]) if abs(t - middle) <= hours[-1] / (2 * MOMENTS)]
+    assert len(between) > 3
+    assert set(between) <= set(fine)
