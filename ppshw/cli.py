@@ -184,7 +184,11 @@ def evaluate(a: argparse.Namespace) -> None:
         answer = run(recording, machine, calibration, refit_base=a.refit_base)
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", _FIGURE_HEAD]
-    _say(a, answer, "\n".join([*lines, *(_figure_row(name, values) for name, values in rows)]))
+    lines += [_figure_row(name, values) for name, values in rows]
+    for u in answer.get("unexplained", ()):
+        lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
+                     f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")
+    _say(a, answer, "\n".join(lines))
 
 
 _FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"

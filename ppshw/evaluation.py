@@ -14,7 +14,9 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import displacement
+from ppshw.terms.effect import UNNAMED, displacement
+from ppshw.terms.shapes import Context
+from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -76,7 +78,13 @@ def figures(errors: Array) -> dict[str, float]:
 def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
-    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it."""
+    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it; where the calibration carries
+    structure without a name, how many visits lie where nothing is known of it."""
     nominal = figures(nominal_residuals(recording, machine, refit_base))
     mine = nominal if calibration is None else figures(residuals(recording, calibration, refit_base))
-    return {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
+    answer = {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
+    if calibration is not None and any(e.name == UNNAMED for e in calibration.effects):
+        context = Context.of(calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+                             dict(calibration.reference))  # fmt: skip
+        answer["unexplained"] = [u.as_dict() for u in unexplained_at(calibration.effects, context)]
+    return answer

@@ -21,6 +21,7 @@ from ppshw.identification.start import to_base
 from ppshw.kinematics import point_jacobian
 from ppshw.recording import Recording, Table
 from ppshw.terms import Situation
+from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Context
 
 Array = NDArray[np.float64]
@@ -105,13 +106,19 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
         if calibration.effects:
             columns = np.stack([c.evaluate(context) for e in calibration.effects for c in e.columns], axis=2)
             design = np.concatenate([design, (root @ columns).reshape(len(design), -1).astype(np.float32)], axis=1)
-            # as wide as what was found: a calibration does not keep what an effect was allowed to be
-            found = [np.hypot(v, s) for e in calibration.effects for v, s in zip(e.values, e.std, strict=True)]
-            prior = np.concatenate([prior, np.maximum(found, 1e-15)])
+            prior = np.concatenate([prior, *map(_allowed, calibration.effects)])
         wrong = _fitted(design, prior)
     else:
         wrong = _known(_half(calibration.covariance[np.ix_(active, active)]).astype(np.float32))
     return Compared(left, root, rows, np.ones(count), design, wrong, context)
+
+
+def _allowed(effect: Effect) -> Array:
+    """(k,) prior standard deviations of an effect's coefficients: one for a Gaussian process, else as wide as what was
+    found, since a calibration does not keep what an effect was allowed to be."""
+    if effect.columns[0].function == "unexplained":
+        return np.ones(len(effect.values))
+    return np.maximum(np.hypot(effect.values, effect.std), 1e-15)
 
 
 def _known(turned: Single) -> Wrong:

@@ -38,7 +38,7 @@ MOST_MODES = 64
 class Correction:
     """region: where, over which columns; frame and components (C,) that move; amplitude (C,) standard deviations before
     any data [m, rad]; modes (k, C, m) directions in φ, scaled so that their coefficients are N(0, 1) before any data;
-    mean (k, C) of each over the visits; evidence: log, against nothing"""
+    mean (k, C) of each over the visits; evidence: log, against nothing, counting all that was tried"""
 
     region: Region
     frame: int
@@ -133,7 +133,9 @@ def learn(space: Workspace, names: tuple[str, ...], repeatability: float) -> Cor
         tried.append((found, size, region))
     evidence, size, region = max(tried, key=lambda t: t[0])
     phi = region.basis(values)
-    return _with_components(model, region, phi, frame, {component: size}, evidence, unit[frame])
+    chosen, evidence = _components(model, phi, frame, {component: size}, evidence, unit[frame])
+    evidence -= float(np.log(len(places) * len(tried)))  # the likeliest of so many is so much less likely
+    return None if evidence <= 0 else _correction(model, region, phi, frame, chosen, evidence)
 
 
 def _unit_sizes(space: Workspace, repeatability: float) -> Array:
@@ -155,32 +157,37 @@ def _one(model: _Evidence, phi: Array, frame: int, component: int, unit: float) 
     return float(evidence[best]), float(sizes[best])
 
 
-def _with_components(
-    model: _Evidence, region: Region, phi: Array, frame: int, chosen: dict[int, float], evidence: float, unit: Array
-) -> Correction | None:
-    """Further components of the frame, one by one, while the recording is likelier by MORE with them."""
+def _components(
+    model: _Evidence, phi: Array, frame: int, first: dict[int, float], evidence: float, unit: Array
+) -> tuple[dict[int, float], float]:
+    """Further components of the frame, one by one, while the recording is likelier by MORE with them; their sizes, and
+    the log evidence of all."""
+    chosen = dict(first)
     parts = {c: model.sums(phi, frame, c) for c in range(6) if np.isfinite(unit[c])}
-    m = phi.shape[1]
     while len(chosen) < len(parts):
-        best = None
+        best = evidence + MORE, -1, 0.0
         for c in parts.keys() - chosen.keys():
             info, score = information([parts[d] for d in (*chosen, c)])
-            for size in SIZES[::2]:
-                sigma = np.repeat([*chosen.values(), size * unit[c]], m)
-                found = log_evidence(info, score, sigma)
-                if best is None or found > best[0]:
-                    best = found, c, size * unit[c]
-        if best is None or best[0] < evidence + MORE:
+            for size in np.array(SIZES[::2]) * unit[c]:
+                sigma = np.repeat([*chosen.values(), size], phi.shape[1])
+                best = max(best, (log_evidence(info, score, sigma), c, float(size)))
+        if best[1] < 0:
             break
         evidence = best[0]
         chosen[best[1]] = best[2]
-    if evidence <= 0:
-        return None
+    return chosen, evidence
+
+
+def _correction(
+    model: _Evidence, region: Region, phi: Array, frame: int, chosen: dict[int, float], evidence: float
+) -> Correction:
+    """In the directions that the recording tells apart: with σ² I = V diag(λ) Vᵀ the coefficients along V have the
+    posterior variances 1/(1 + λ) of what they had."""
     amplitude = np.array(list(chosen.values()))
-    info, _ = information([parts[c] for c in chosen])
-    sigma = np.repeat(amplitude, m)
+    info, _ = information([model.sums(phi, frame, c) for c in chosen])
+    sigma = np.repeat(amplitude, phi.shape[1])
     told, vectors = eigh(sigma[:, None] * info * sigma)
     kept = np.flatnonzero(told > TOLD)[::-1][:MOST_MODES]
-    modes = (sigma[:, None] * vectors[:, kept]).T.reshape(len(kept), len(chosen), m)
+    modes = (sigma[:, None] * vectors[:, kept]).T.reshape(len(kept), len(chosen), phi.shape[1])
     mean = modes @ phi[model.space.fit].mean(axis=0)
     return Correction(region, frame, tuple(chosen), amplitude, modes, mean, evidence)

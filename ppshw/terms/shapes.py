@@ -388,10 +388,17 @@ def unexplained(
 
     mode (C, m) of the process's functions for the components of a frame; amplitude, mean (C,): see `Correction`
     """
-    region = Region(tuple(names), *map(np.array, (centre, spread, low, high, length, sites)))
+    region = region_of({"names": names, "centre": centre, "spread": spread, "low": low, "high": high,
+                        "length": length, "sites": sites})  # fmt: skip
     out = np.zeros_like(c.wrenches)
     out[:, frame, components] = region.basis(columns_at(c, region.names)) @ np.array(mode).T
     return out
+
+
+def region_of(args: dict[str, Any]) -> Region:
+    """Of the arguments of `unexplained`."""
+    figures = (np.array(args[k], dtype=float) for k in ("centre", "spread", "low", "high", "length", "sites"))
+    return Region(tuple(args["names"]), *figures)
 
 
 def columns_at(c: Context, names: tuple[str, ...]) -> Array:
