@@ -8,7 +8,7 @@ What nobody knows beforehand is assumed and said: the air's temperature.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 # The hall's air, where nobody has measured it: a slow swing and the air conditioning's. A guess: amplitude [K], hours.
 SWINGS = ((1.0, 8.0), (0.2, 1.7))
 ASSUMED = "one thermometer, air that swings by 2 K in 4 hours"
+# What no campaign shows is asked of random poses with a load of its own at every visit, so many of them at least; the
+# loads as far out and as heavy as the script's, or (a guess) this far [m] and this share of the machine's own weight.
+AT_LEAST, FAR_OUT, HEAVY = 450, 0.3, 0.05
 # A campaign is blind to an effect when it would miss it at so many times the stated repeatability.
 BLIND_BEYOND = 2.0
 NEVER = 1.0  # a size [m] that is no answer
@@ -66,7 +69,7 @@ TO_ADD = {
 @dataclass(frozen=True)
 class Foresight:
     """space, tried: the library over the would-be recording; rows of every name; unit: the stated repeatability, rms at
-    the reflectors [m]."""
+    the reflectors [m]; never: names that no campaign of this machine would show either."""
 
     space: Workspace
     tried: Tried
@@ -74,6 +77,7 @@ class Foresight:
     absent: tuple[Name, ...]
     unit: float
     assumed: str = ASSUMED
+    never: frozenset[Name] = frozenset()
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -86,25 +90,34 @@ class Foresight:
         ]  # fmt: skip
         for entry in found:
             size = entry["detectable_mm"]
+            if size is not None:
+                ends = [x if x <= 1e3 * NEVER else None for x in entry["detectable_range_mm"]]
+                entry["detectable_range_mm"] = None if ends == [None, None] else ends
             if size is not None and size > 1e3 * NEVER:
-                entry["detectable_mm"] = entry["detectable_range_mm"] = size = None
+                entry["detectable_mm"] = size = None
             entry["blind"] = size is None or size > 1e3 * BLIND_BEYOND * self.unit
+            entry["no_campaign"] = (entry["effect"], entry["joint"]) in self.never
         return found
 
     def warnings(self) -> list[str]:
         """The blind effects in plain words, at most MOST_LINES; the first line says what was assumed."""
         blind: dict[str, list[str | None]] = {}
+        never: dict[str, list[str | None]] = {}
         for entry in self.rows:
             if entry["blind"]:
-                blind.setdefault(entry["effect"], []).append(entry["joint"])
-        if not blind:
-            return [f"sees every effect of {BLIND_BEYOND:g} × repeatability ({ASSUMED} assumed)"]
+                (never if entry["no_campaign"] else blind).setdefault(entry["effect"], []).append(entry["joint"])
+        lines = [f"sees every effect of {BLIND_BEYOND:g} × repeatability that a campaign can show ({ASSUMED} assumed)"]
         order = sorted(blind, key=lambda effect: (-len(blind[effect]), effect))
-        lines = [f"blind to what stays unseen at {BLIND_BEYOND:g} × repeatability ({ASSUMED} assumed):"]
-        for effect in order[: MOST_LINES - 2]:
+        if blind:
+            lines = [f"blind to what stays unseen at {BLIND_BEYOND:g} × repeatability ({ASSUMED} assumed):"]
+        most = MOST_LINES - 2 - bool(never)
+        for effect in order[:most]:
             lines.append(f"  {effect}{self._of(effect, blind[effect])}: add {TO_ADD[effect]}")
-        if left := order[MOST_LINES - 2 :]:
+        if left := order[most:]:
             lines.append(f"  and {', '.join(left)} (--visibility lists all)")
+        if never:
+            said = ", ".join(f"{effect}{self._of(effect, joints)}" for effect, joints in sorted(never.items()))
+            lines.append(f"  no campaign on this machine shows typical {said}: constants and compliances take them")
         return lines
 
     def _of(self, effect: str, joints: Sequence[str | None]) -> str:
@@ -132,7 +145,13 @@ def foresee(plan: Plan, most: int = 12) -> Foresight:
     """Lay the library over a plan. most: forms of each name that are tried."""
     recording = would_be(plan)
     space = laid_out(typical_of(plan.machine, recording, _point(plan.machine)), recording)
-    return foreseen(space, stated(space), most)
+    found = foreseen(space, stated(space), most)
+    if not any(entry["blind"] for entry in found.rows):
+        return found
+    best = anything(plan)
+    space = laid_out(typical_of(plan.machine, best, _point(plan.machine)), best)
+    never = [(e["effect"], e["joint"]) for e in foreseen(space, stated(space), most).rows if e["blind"]]
+    return replace(found, never=frozenset(never))
 
 
 def foreseen(space: Workspace, unit: float, most: int = 12) -> Foresight:
@@ -160,6 +179,27 @@ def would_be(plan: Plan) -> Recording:
     measured = np.array([[t in v.targets for t in machine.targets] for v in visits])
     return pretended(
         machine, [v.step for v in visits], cases, q, approaches(q, via), hours, plan.script.settle_s, measured
+    )
+
+
+def anything(plan: Plan) -> Recording:
+    """What no campaign surpasses by much: poses anywhere in random order, at every visit another load, anywhere."""
+    machine, count = plan.machine, max(len(plan.visits), AT_LEAST)
+    rng = np.random.default_rng(plan.script.seed)
+    low, high = machine.limits()
+    q = rng.uniform(low, high, (count, machine.n))
+    heaviest = max([case.mass for case in plan.script.loads], default=0.0)
+    heaviest = heaviest or HEAVY * sum(joint.mass for joint in machine.joints)
+    far = max([FAR_OUT, *(float(np.abs(case.com).max()) for case in plan.script.loads if case.mass)])
+    cases = [
+        LoadCase(str(k), float(rng.uniform(0.0, heaviest)), tuple(rng.uniform(-far, far, 3).tolist()))
+        for k in range(count)
+    ]
+    hours = np.linspace(0.0, max(sum(plan.durations) / 3600.0, 1.0), count)
+    everything = np.ones((count, len(machine.targets)), dtype=bool)
+    before = np.vstack([q[:1], q[:-1]])
+    return pretended(
+        machine, ["any"] * count, cases, q, approaches(q, before), hours, plan.script.settle_s, everything
     )
 
 

@@ -1,30 +1,35 @@
 """What a recording can show, before any fit: per effect and joint the share that the base model leaves visible, the
 size that would be found, and what it could be taken for.
 
-A form with columns Z moves the reflectors by a field f = Z c. Of its fᵀ R⁻¹ f the base model leaves the noncentrality
-λ = fᵀ V⁻¹ f (docs/diagnosis.md §2); the score along f is then √λ + N(0, 1). An effect is found when the evidence of its
-name reaches what a first finding needs. That evidence grows as a u² − b with the score u, and b says what the name pays
-for the forms it tries; so the score needed is known, and 90 % are found from √λ = u + 1.28 on.
+A form with columns Z moves the reflectors by a field f, the sum of its columns at unit rms. Of its fᵀ R⁻¹ f the base
+model leaves the noncentrality λ = fᵀ V⁻¹ f (docs/diagnosis.md §2); the score along f is then √λ + N(0, 1). An effect
+is found when the evidence of its name reaches what a first finding needs. That evidence grows as a u² − b with the
+score u, and b says what the name pays for the forms it tries; so the score needed is known, and 90 % are found from
+√λ = u + 1.28 on. λ is that of the search, with its freer prior strengths; shares are those of the base model itself,
+with the strengths that it learnt.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import Name, Tried
+from ppshw.diagnosis.evidence import CHUNK, LEAST_SHARE, Name, Tried
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import LEAST_FIRST
+from ppshw.diagnosis.search import FIRST, LEAST_FIRST
 from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
 # Nine draws of ten of a standard normal are above −1.28.
 NINE_OF_TEN = 1.28
+# Draws of the noise that say which evidence chance alone reaches; their 97th percentile is good to a third of a unit.
+NOISE_DRAWS = 199
 # Scores at which a name's evidence is looked at, on both sides of where it becomes enough.
 LOOKED_AT = (4.0, 6.0)
 # √λ needed for a form that the base model takes whole: a middling figure, as nothing can be computed for it.
@@ -44,6 +49,7 @@ class Sight:
     seen_at     √λ of the typical form that 90 % find
     detectable  rms at the reflectors that 90 % find [m], of the typical form; detectables: of its best and worst tenth
     aliases     names a form of which shows ALIAS or more of what the typical form shows
+    visible     whether the base model leaves anything of the typical form; else the sizes are orders of magnitude
     """
 
     name: Name
@@ -54,6 +60,7 @@ class Sight:
     detectable: float
     detectables: tuple[float, float]
     aliases: tuple[Name, ...]
+    visible: bool = True
 
 
 def visibility(space: Workspace, tried: Tried) -> list[dict[str, Any]]:
@@ -78,31 +85,94 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
     weights  (C,) how many forms each candidate stands for; the candidates' shares by default
     """
     weights = np.array([k.share for k in tried.candidates]) if weights is None else weights
-    seen = np.array([tried.seen[i].mean() for i in tried.index])  # per unit rms of the form, columns weighed alike
-    shares = np.clip(seen / np.maximum([tried.plain[i].mean() for i in tried.index], 1e-30), 0.0, 1.0)
-    # a form with a column that the base model takes whole is not tried, whatever its other columns show
-    seen = np.where(np.isfinite(tried.log_share), seen, 0.0)
+    seen, shares = _of_forms(tried)
     names = [j for j, name in enumerate(tried.names) if name[0] != "nameless"]
-    spread = [_by_visibility(np.flatnonzero(tried.name_of == j), seen, weights) for j in names]
+    spread = [_by_visibility(np.flatnonzero(tried.name_of == j), seen / _widths(tried), weights) for j in names]
     forms = np.array([middle for _, middle, _ in spread], dtype=int)
     if not len(forms):
         return []
     scores = across(tried, directions(tried, forms))
-    needed = _needed(tried, np.array(names), scores) + NINE_OF_TEN
-    needed[~np.isfinite(tried.log_share[forms])] = SEEN_AT  # nothing of the form is tried: for the order of magnitude
+    needed = _needed(tried, np.array(names), scores, least(tried)) + NINE_OF_TEN
+    needed[seen[forms] == 0.0] = SEEN_AT  # nothing of the form is left: for the order of magnitude
     alike = mimicked(tried, scores)
     out = []
-    for a, (j, (low, middle, high)) in enumerate(zip(names, spread, strict=True)):
-        sizes = needed[a] / np.sqrt(np.maximum(seen[[high, middle, low]], 1e-12))
-        visible = np.isfinite(tried.log_share[middle])
+    for a, (j, three) in enumerate(zip(names, spread, strict=True)):
+        best, typical, worst = (needed[a] * _rms(tried, k) / np.sqrt(max(seen[k], 1e-12)) for k in reversed(three))
+        middle = three[1]
+        visible = seen[middle] > 0.0
         aliases = tuple(tried.names[b] for b in names if visible and b != j and alike[a, b] > ALIAS)
         out.append(
             Sight(
                 tried.names[j], middle, float(shares[middle]), _tenths(tried.name_of == j, shares, weights),
-                float(needed[a]), float(sizes[1]), (float(sizes[0]), float(sizes[2])), aliases,
+                float(needed[a]), float(typical), (float(min(best, typical)), float(max(worst, typical))), aliases,
+                bool(visible),
             )
         )  # fmt: skip
     return out
+
+
+def least(tried: Tried) -> float:
+    """The evidence that a first finding needs: real odds, and more than noise alone reaches (docs/diagnosis.md §4).
+
+    The search asks its own recording with random signs; here white noise is asked, before any residual.
+    """
+    rng = np.random.default_rng(NOISE_DRAWS)
+    white = rng.standard_normal((NOISE_DRAWS, tried.half.shape[1]), dtype=np.float32)
+    chance = tried.by_name(evidence_alone(tried, np.asarray(white @ tried.half.T, dtype=float))).max(axis=1)
+    return max(LEAST_FIRST, float(np.quantile(chance, 1.0 - FIRST)))
+
+
+def _of_forms(tried: Tried) -> tuple[Array, Array]:
+    """(C,) what is left of every form, its columns at unit rms and alike, to whoever searches; and the share (C,) that
+    the base model itself leaves.
+
+    The rows of `half` are [P z, c], c = (1 + s²)⁻¹ Aᵀ z with A = R⁻½ X Λ½ W, AᵀA = diag s². So zᵀR⁻¹z = zᵀV⁻¹z +
+    Σ c² (1 + s²); and with prior strengths κ times smaller, one κ for every parameter, D = κ² − 1 and
+    B = 1 + W s² Wᵀ,
+
+        zᵀV₁⁻¹z = zᵀV⁻¹z + hᵀ (1 + D½ B⁻¹ D½)⁻¹ h,    h = D½ W c
+    """
+    space = tried.space
+    scaled = space.white * space.prior
+    lengths, turn = np.linalg.eigh(scaled.T @ scaled)
+    lengths = 1.0 + np.maximum(lengths, 0.0)
+    freed = np.sqrt(np.maximum(space.caution**2 - 1.0, 0.0))[:, None] * turn
+    inner = np.eye(len(lengths)) + (freed / lengths) @ freed.T
+    regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T.astype(np.float32)
+    shrunk = tried.half[:, space.y.size :]
+    seen, more = np.empty(len(tried.candidates)), np.empty((len(tried.candidates), 2))
+    for batch, info in zip(tried._batches, tried._info0, strict=True):
+        seen[batch.which] = info.sum(axis=(1, 2))
+        for at in range(0, len(batch.which), CHUNK):
+            part = slice(at, at + CHUNK)
+            c = shrunk[batch.columns[part]].sum(axis=1)
+            more[batch.which[part], 0] = c.astype(float) ** 2 @ lengths
+            more[batch.which[part], 1] = ((c @ regained).astype(float) ** 2).sum(axis=1)
+    plain = np.maximum(seen + more[:, 0], 1e-30)
+    shares = (seen + more[:, 1]) / plain
+    # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a
+    # single column of it is taken whole, may be found by another form of its name
+    return np.where(seen > LEAST_SHARE * plain, seen, 0.0), np.clip(shares, 0.0, 1.0)
+
+
+def _widths(tried: Tried) -> Array:
+    """(C,) number of columns: the mean square of a form whose columns, at unit rms, have nothing in common."""
+    return np.array([float(len(i)) for i in tried.index])
+
+
+def displaced(tried: Tried, form: int) -> Array:
+    """(N, 3T) the typical field of a candidate, base axes [m]: its columns at unit rms, alike."""
+    candidate, scale = tried.candidates[form], tried.scale[tried.index[form]]
+    fields = [column.evaluate(tried.space.context) / s for column, s in zip(candidate.columns, scale, strict=True)]
+    return np.asarray(np.sum(fields, axis=0))
+
+
+def _rms(tried: Tried, form: int) -> float:
+    """rms at the reflectors of the same: 1 for a single column."""
+    if len(tried.index[form]) == 1:
+        return 1.0
+    readings = max(int(tried.space.recording.seen.sum()), 1)
+    return float(np.sqrt((displaced(tried, form) ** 2).sum() / readings))
 
 
 def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None) -> list[Name]:
@@ -114,9 +184,9 @@ def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: 
                   counts
     """
     if form is None:
-        seen = np.array([tried.seen[i].mean() for i in tried.index])
+        seen, _ = _of_forms(tried)
         mine = np.flatnonzero(tried.name_of == tried.names.index(name))
-        form = _by_visibility(mine, seen, np.array([k.share for k in tried.candidates]))[1]
+        form = _by_visibility(mine, seen / _widths(tried), np.array([k.share for k in tried.candidates]))[1]
     scale = tried.scale[tried.index[form]]
     along = directions(tried, np.array([form]), None if coefficients is None else [coefficients * scale])
     alike = mimicked(tried, across(tried, along))[0]
@@ -197,7 +267,20 @@ def evidence_alone(tried: Tried, scores: Array) -> Array:
     return alone.evidence(scores)
 
 
-def _needed(tried: Tried, names: NDArray[np.int64], scores: Array) -> Array:
+def evidence_of(tried: Tried, name: Name, scores: Array) -> Array:
+    """(D,) evidence of one name alone, given the base model alone, for scores (D, K) of all columns."""
+    mine = tried.name_of == tried.names.index(name)
+    alone = copy.copy(tried)
+    alone._batches, alone._info = [], []
+    for batch, info in zip(tried._batches, tried._info0, strict=True):
+        inside = mine[batch.which]
+        if inside.any():
+            alone._batches.append(replace(batch, which=batch.which[inside], columns=batch.columns[inside]))
+            alone._info.append(info[inside])
+    return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + tried.log_share[mine], axis=1))
+
+
+def _needed(tried: Tried, names: NDArray[np.int64], scores: Array, enough: float) -> Array:
     """(F,) the score along each name's form at which the evidence of the name is enough for a first finding."""
     values = []
     for u in LOOKED_AT:
@@ -208,7 +291,7 @@ def _needed(tried: Tried, names: NDArray[np.int64], scores: Array) -> Array:
     low, high = (np.where(finite, v, 0.0) for v in values)
     slope = (high - low) / (two**2 - one**2)
     good = finite & (slope > 0)
-    square = one**2 + (LEAST_FIRST - low) / np.where(good, slope, 1.0)
+    square = one**2 + (enough - low) / np.where(good, slope, 1.0)
     return np.where(good, np.sqrt(np.clip(square, 1.0, 400.0)), SEEN_AT - NINE_OF_TEN)
 
 

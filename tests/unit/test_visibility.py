@@ -12,12 +12,14 @@ from campaigns.plan import plan_campaign
 from campaigns.script import load_script
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.search import LEAST_FIRST
 from ppshw.diagnosis.visibility import (
     across,
     alias_words,
     aliases_of,
     directions,
+    displaced,
+    evidence_of,
+    least,
     mimicked,
     sights,
     thinned,
@@ -51,13 +53,13 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
 def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:
     rng = np.random.default_rng(8)
     noise = rng.normal(size=(200, tried.half.shape[1])) @ tried.half.T.astype(float)
-    found = []
+    found, enough = [], least(tried)
     for sight in sights(tried):
-        if sight.detectable > 0.01:  # the base model takes the typical form whole
+        if not sight.visible:  # the base model takes the typical form whole
             continue
         field = sight.seen_at * across(tried, directions(tried, np.array([sight.form])))
         evidence = tried.by_name(tried.evidence(noise + field))[:, tried.names.index(sight.name)]
-        found.append(float((evidence >= LEAST_FIRST).mean()))
+        found.append(float((evidence >= enough).mean()))
     assert len(found) > 20
     assert np.mean(found) == pytest.approx(0.9, abs=0.03)
     assert min(found) > 0.8
@@ -66,7 +68,7 @@ def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:
 def test_an_effect_is_its_own_alias_and_a_different_place_is_none(tried: Tried) -> None:
     seen = sights(tried)
     alike = mimicked(tried, across(tried, directions(tried, np.array([s.form for s in seen]))))
-    own = [alike[k, tried.names.index(s.name)] for k, s in enumerate(seen) if s.detectable < 0.01]
+    own = [alike[k, tried.names.index(s.name)] for k, s in enumerate(seen) if np.isfinite(tried.log_share[s.form])]
     assert np.array(own) == pytest.approx(1.0, abs=0.02)  # one of its own forms is the form itself
     assert alike[[s.name for s in seen].index(("backlash", "yaw")), tried.names.index(("backlash", "lateral"))] < 0.2
     assert ("backlash", "lateral") not in aliases_of(tried, ("backlash", "yaw"))
@@ -77,6 +79,37 @@ def test_friction_that_turns_within_a_small_part_of_the_travel_is_an_alias_of_ba
     words = alias_words(("backlash", "roll"), [("friction_hysteresis", "roll"), ("creep", "yaw")])
     assert words == " This recording cannot tell it from friction_hysteresis, creep of yaw."
     assert alias_words(("backlash", "roll"), []) == ""
+
+
+def test_the_share_said_is_what_the_base_model_leaves_with_the_strengths_that_it_learnt(tried: Tried) -> None:
+    learnt = tried.space.as_learnt()
+    for sight in sights(tried)[::7]:
+        white = learnt.whiten(displaced(tried, sight.form)[..., None])
+        left = float(white[:, 0] @ learnt.absorb(white)[:, 0])
+        assert sight.share == pytest.approx(left / float(white[:, 0] @ white[:, 0]), rel=1e-3, abs=1e-6)
+
+
+def test_the_size_said_is_the_rms_at_the_reflectors_of_the_field_that_is_found(tried: Tried) -> None:
+    readings = int(tried.space.recording.seen.sum())
+    for sight in [s for s in sights(tried) if s.visible][::7]:
+        field = displaced(tried, sight.form)
+        white = tried.space.whiten(field[..., None])
+        strength = np.sqrt(float(white[:, 0] @ tried.space.absorb(white)[:, 0]))
+        rms = np.sqrt((field**2).sum() / readings)
+        assert sight.detectable * strength / rms == pytest.approx(sight.seen_at, rel=0.01)
+
+
+def test_evidence_of_one_name_is_that_among_all_names(tried: Tried) -> None:
+    scores = np.random.default_rng(2).normal(size=(3, len(tried.scale)))
+    every = tried.by_name(tried.evidence(scores))
+    alone = evidence_of(tried, ("creep", "yaw"), scores)
+    assert alone == pytest.approx(every[:, tried.names.index(("creep", "yaw"))], rel=1e-9)
+
+
+def test_chance_alone_reaches_what_a_finding_needs_in_three_of_a_hundred_at_most(tried: Tried) -> None:
+    noise = np.random.default_rng(5).normal(size=(300, tried.half.shape[1])) @ tried.half.T.astype(float)
+    alarms = (tried.by_name(tried.evidence(noise)).max(axis=1) >= least(tried)).mean()
+    assert alarms <= 0.06  # 3 % and three standard deviations of 300 draws
 
 
 def test_rows_say_what_the_contract_asks_for(tried: Tried) -> None:
