@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.gaussian_process import Correction, learn
+from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.wording import column_of
@@ -165,7 +165,13 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
         "region": {n: [float(a), float(b)] for n, a, b in
                    zip(left.names, correction.region.low, correction.region.high, strict=True)},
         "log_evidence": correction.evidence,
+        "sentence": f"what depends on {_plainly(said)} is carried without a name, as "
+        f"{in_words(correction.columns(), space.machine)}.",
     }  # fmt: skip
+
+
+def _plainly(said: list[tuple[str, str]]) -> str:
+    return " and ".join(f"{column} ({how})" if how else column for column, how in said)
 
 
 def held_out(space: Workspace, columns: Array, prior: Array) -> float:

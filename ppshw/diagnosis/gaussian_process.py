@@ -62,9 +62,7 @@ class Correction:
 
 
 def in_words(columns: tuple[Column, ...], machine: Machine) -> str:
-    """What is said of a correction beside what it depends on; empty for any other columns."""
-    if columns[0].function != "unexplained":
-        return ""
+    """What a correction is, beside what it depends on."""
     a = columns[0].args
     over = " and ".join(
         f"{name} (changing over {length * spread:.3g})"
@@ -72,8 +70,8 @@ def in_words(columns: tuple[Column, ...], machine: Machine) -> str:
     )
     moved = ", ".join(COMPONENTS[c] for c in a["components"])
     return (
-        f" It is carried without a name, as a Gaussian process of {over} that moves {machine.frame_names[a['frame']]} "
-        f"{moved}, and only where the recording has data."
+        f"a Gaussian process of {over} that moves {machine.frame_names[a['frame']]} {moved}, only where the recording "
+        "has data"
     )
 
 

@@ -33,7 +33,9 @@ def extended(space: Workspace, found: list[tuple[Found, Candidate]]) -> Calibrat
         own, _, rms = coefficients(space, candidate, f)
         numbers = tuple(values.tolist()), tuple(std.tolist())
         name = UNNAMED if candidate.effect == "nameless" else candidate.effect
-        said = sentence(candidate, own, rms) + in_words(columns, space.machine)
+        said = sentence(candidate, own, rms)
+        if columns[0].function == "unexplained":
+            said += f" It is carried without a name, as {in_words(columns, space.machine)}."
         effects.append(Effect(name, candidate.joint, columns, *numbers, said))
     recording = space.recording.subset(space.fit)
     calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")

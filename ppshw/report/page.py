@@ -128,6 +128,7 @@ def _diagnosed(contents: Contents) -> list[str]:
     out += [f"{f['sentence'][0].upper()}{f['sentence'][1:]}" for f in answer["findings"]]
     if left := answer.get("unexplained"):
         out.append(f"Structure over {' and '.join(left['covariates'])} is left that no known effect explains.")
+    out += [f"{c['sentence'][0].upper()}{c['sentence'][1:]}" for c in answer.get("corrections", ())]
     out.append(
         f"On visits that the fit never saw, readings miss by {mm(held['rms_before_mm'])} rms before and "
         f"{mm(held['rms_after_mm'])} after; noise alone makes {mm(answer['noise_floor_mm'])}."

@@ -147,6 +147,7 @@ def test_what_is_carried_is_found_at_its_place_and_marked(rig: Rig) -> None:
     assert said["effect"] == "unexplained"
     assert said["covariates"] == ["q_" + rig.machine.joint_names[0]]
     assert said["history"] == "of the pose before"
+    assert "is carried without a name, as a Gaussian process of previous_q_lateral" in said["sentence"]
     (effect,) = rig.calibration.effects
     assert effect.name == "unexplained"
     assert "without a name" in effect.sentence
