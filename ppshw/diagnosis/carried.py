@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
@@ -19,10 +20,11 @@ from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.wording import column_of
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, Context, columns_at
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+LIKE_TIME = 0.95  # rank correlation with the order of visits
 NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be less than this times the rms without
 
 
@@ -106,11 +108,18 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
         for k, column in enumerate(f.near, start=f.at + len(candidate.columns)):
             if names := _smooth_over(column):
                 add(f, names, k)
-    return [left for left in out.values() if not a_matter_of_time(left.names)]
+    return [left for left in out.values() if not a_matter_of_time(tried.space.context, left.names)]
 
 
-def a_matter_of_time(names: tuple[str, ...]) -> bool:
-    return "time" in [column_of(name)[0] for name in names]
+def a_matter_of_time(c: Context, names: tuple[str, ...]) -> bool:
+    """Whether one of the columns is the time, or rises or falls with it so steadily that nothing tells them apart."""
+    for name in names:
+        if column_of(name)[0] == "time":
+            return True
+        values = columns_at(c, (name,))[:, 0]
+        if np.ptp(values) > 0 and abs(spearmanr(values, np.arange(len(values))).statistic) > LIKE_TIME:
+            return True
+    return False
 
 
 def _smooth_over(column: Column) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def _without_the_rest(space: Workspace, found: list[tuple[Found, Candidate]]) ->
     goes with time stays in the fit: it is no part of the machine as it will be found."""
     taken = space.taken.copy()
     for f, candidate in found:
-        if not f.carried and not a_matter_of_time(candidate.covariates):
+        if not f.carried and not a_matter_of_time(space.context, candidate.covariates):
             taken[:, :, f.at : f.at + len(candidate.columns) + len(f.near)] = 0.0
     space = copy(space)
     space.take_up(taken, space.taken_prior)

@@ -222,10 +222,14 @@ def test_a_twin_has_it_and_the_recording_is_like_its_twin(rig: Rig) -> None:
     assert "other" not in odd
 
 
-def test_what_goes_with_time_is_never_carried() -> None:
-    assert a_matter_of_time(("q_lateral", "time"))
-    assert a_matter_of_time(("since_load_change",))
-    assert not a_matter_of_time(("previous_q_lateral",))
+def test_what_goes_with_time_is_never_carried(rig: Rig) -> None:
+    """Nor what counts the visits, or warms up steadily while they pass."""
+    counts = np.arange(FIT) ** 1.5 + np.random.default_rng(0).normal(0, 20, FIT)
+    c = replace(rig.space.context, recording=replace(rig.first, covariates={"count": counts}))
+    assert a_matter_of_time(c, ("q_lateral", "time"))
+    assert a_matter_of_time(c, ("since_load_change",))
+    assert a_matter_of_time(c, ("cov_count",))
+    assert not a_matter_of_time(c, ("previous_q_lateral",))
 
 
 def test_a_clean_recording_gets_no_correction(rig: Rig) -> None:
