@@ -23,10 +23,15 @@ from ppshw.terms import Parameter, Situation
 Array = NDArray[np.float64]
 # Typical prior standard deviations, as factors on where the estimate starts its search (which is wide on purpose). Our
 # choice: medians of what the joint estimate learnt from 669 random visits of five simulated positioners (seeds 100 to
-# 104, never among those that figures are reported on), rounded upwards. Rails and bearings bend in long waves.
+# 104, never among those that figures are reported on; of a link's elements the rms), rounded upwards. Rails and
+# bearings bend in long waves.
 GEOMETRIC = {"line": 0.3, "band0": 0.3, "band1": 0.1}
 SHORT_WAVES = 0.03
-COMPLIANCE = {"rM.line": 1.0, "rM.shape": 0.1, "tM.line": 0.1, "tM.shape": 0.03, "tF.line": 0.1, "tF.shape": 0.03}
+COMPLIANCE = {
+    "rM.line": 1.0, "rM.shape": 0.1, "tM.line": 0.1, "tM.shape": 0.03, "tF.line": 0.1, "tF.shape": 0.03,
+    "rM-skew.line": 0.2, "rM-skew.shape": 0.1, "tM-skew.line": 0.3, "tM-skew.shape": 0.15, "tF-skew.line": 0.2,
+    "tF-skew.shape": 0.05,
+}  # fmt: skip
 BLOCK = 256
 # Where the instrument stands is known to metres only when the machine file says `base: estimate`.
 FREE_BASE = 1e3
@@ -99,7 +104,7 @@ def _typical_strength(p: Parameter) -> float:
     if kind == "geometric":
         factor = GEOMETRIC.get(rest[-1], SHORT_WAVES)
     elif kind == "compliance":
-        factor = COMPLIANCE.get(".".join(rest[-2:]), 1.0)
+        factor = COMPLIANCE.get(f"{rest[1]}.{rest[-1]}", 1.0)
     return p.scale * p.start * factor
 
 

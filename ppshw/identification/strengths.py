@@ -75,8 +75,10 @@ class Groups:
 
 
 def _kind(group: str) -> str:
-    """The name without the joint's; bands of a joint's own fine motion are all of one kind."""
+    """The name without the joint's and the element's; bands of a joint's own fine motion are all of one kind."""
     first, _, *rest = group.split(".") if "." in group else [group, ""]
+    if first == "compliance":
+        rest = [rest[0], rest[-1]]
     return first if first == "own" else ".".join([first, *rest])
 
 

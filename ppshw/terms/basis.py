@@ -48,8 +48,8 @@ class Constant:
         return {"kind": "constant"}
 
 
-# Upper edges of the bands of sines, in half waves over the widened travel.
-BAND_EDGES = (3, 6, 10, 16, 30, 60, 120, 240)
+# Upper edges of the bands of sines, in half waves over the widened travel: octaves.
+BAND_EDGES = (2, 4, 8, 16, 32, 64, 128, 256)
 # The sines live on a travel widened by this factor, so that they are free at its ends.
 WIDENING = 1.2
 
