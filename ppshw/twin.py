@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.checks import Check, check
 from ppshw.diagnosis.replicas import Compared, Single, Wrong
+from ppshw.errors import CalibrationError
 from ppshw.identification.start import to_base
 from ppshw.kinematics import point_jacobian
 from ppshw.recording import Recording, Table
@@ -146,6 +147,12 @@ def _prior(calibration: Calibration) -> Array:
     if not calibration.strengths:
         return np.maximum(1e3 * std, 1e-15)
     parameters = calibration.model.parameters()
+    unknown = sorted({p.group for p in parameters} - calibration.strengths.keys())
+    if unknown:
+        raise CalibrationError(
+            f"the calibration has no prior strength for {len(unknown)} groups of its parameters, the first "
+            f"'{unknown[0]}': an earlier ppshw wrote it; identify its recording again"
+        )
     return np.maximum([calibration.strengths[p.group] * p.scale for p in parameters], 1e-15)
 
 

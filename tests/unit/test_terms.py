@@ -16,10 +16,11 @@ from ppshw.machine import load_machine
 from ppshw.model import Model
 from ppshw.terms import FrameTerm, Situation
 from ppshw.terms.basis import Basis, Constant, Interpolated, Polynomial, Smooth, basis_from_dict
-from ppshw.terms.elastic import Compliance, pattern
+from ppshw.terms.elastic import Compliance, pattern, skew
 from ppshw.terms.geometric import Geometric
 from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
+from simulators.beams import along, box, cantilever, turned
 
 Array = NDArray[np.float64]
 PPS = load_machine(Path(__file__).parents[2] / "machines/pps.yaml")
@@ -149,3 +150,19 @@ def test_a_compliance_takes_only_the_loads_that_act() -> None:
     wrenches = np.ones((1, 7, 6))
     regressors = term.regressors(situations(1), wrenches)[0]
     assert np.count_nonzero(regressors) == 6  # the column Fy of a symmetric matrix
+
+
+@pytest.mark.parametrize("axis", np.eye(3))
+def test_a_symmetric_beam_along_an_axis_has_no_skew_elements(axis: Array) -> None:
+    beam = turned(cantilever(box(0.1, 0.2, 0.01, 2.1e11), np.array([1.2])), along(axis))[0]
+    size = np.sqrt(np.diag(beam))
+    there = np.abs(beam) > 1e-9 * np.outer(size, size)
+    assert there.sum() == 6 + 2 * 2  # the diagonal, and bending in two planes
+    assert not any(skew(a, b) for a, b in BEAM if there[a, b])
+
+
+def test_elements_that_a_symmetric_beam_lacks_are_expected_smaller() -> None:
+    found = {p.name: p for p in Compliance(1, BEAM, ALL_LOADS, Constant()).parameters(PPS.frame_names)}
+    assert found["lateral.C[tx,Mx][0]"].start == pytest.approx(0.2 * found["lateral.C[tx,My][0]"].start)
+    assert found["lateral.C[rx,My][0]"].start == pytest.approx(0.2 * found["lateral.C[rx,Mx][0]"].start)
+    assert len({p.group for p in found.values()}) == 21

@@ -21,7 +21,7 @@ from ppshw.diagnosis.locate import Map
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.errors import ReportError
+from ppshw.errors import CalibrationError, ReportError
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import load_machine
@@ -112,6 +112,12 @@ def test_the_twin_has_the_effects_of_the_calibration(rig: Rig) -> None:
     # the first carriage stands on the floor: 0.1 mm of it are 0.1 mm along x for every reflector, but for small errors
     assert np.allclose(moved[..., 0][seen], expected[seen], atol=2e-6)
     assert np.abs(moved[..., 1:][seen]).max() < 2e-6
+
+
+def test_a_calibration_whose_groups_are_another_programs_is_refused(rig: Rig) -> None:
+    strengths = {k: v for k, v in rig.calibration.strengths.items() if not k.startswith("compliance.lateral.tF.")}
+    with pytest.raises(CalibrationError, match=r"compliance\.lateral\.tF.*identify its recording again"):
+        compare(replace(rig.calibration, strengths=strengths), rig.recording)
 
 
 def test_a_recording_that_the_model_describes_is_like_its_twin(rig: Rig) -> None:
