@@ -399,7 +399,8 @@ def _target(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
 
 
 def nameless(c: Context) -> list[Candidate]:
-    """Rivals without a name: the tip or the base moves as a smooth function of one column or of two."""
+    """Rivals without a name: the tip, the base or a joint in its own direction moves as a smooth function of one
+    column, the tip as one of two."""
     joints = [f"q_{name}" for _, name in _joints(c)]
     r = c.recording
     singles = [*joints, "time", "since_load_change"]
@@ -418,6 +419,17 @@ def nameless(c: Context) -> list[Candidate]:
                 Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
             )
             out.append(_nameless(c, frame, comp, (name,), columns))
+    for k, joint in _joints(c):
+        frame, comp = k + 1, _own(c, k)
+        for name in singles:
+            if name in (f"q_{joint}", "time"):
+                continue  # the base model's own, and the waves below
+            columns = tuple(
+                Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
+            )
+            out.append(_nameless(c, frame, comp, (f"q_{joint}", name), columns))
+        waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in range(1, RHYTHMS + 1)]
+        out.append(_nameless(c, frame, comp, (f"q_{joint}", "time"), tuple(waves)))
     for frame, comp in places:
         waves = [Column("frame", "clock", {"form": "cosine", "tau": k}, frame, comp) for k in range(1, RHYTHMS + 1)]
         out.append(_nameless(c, frame, comp, ("time",), tuple(waves)))

@@ -116,6 +116,14 @@ class Workspace:
         self.absorbed = self.absorb(self.taken_white)
         self.middle = np.linalg.inv(self.taken_white.T @ self.absorbed + np.diag(1.0 / prior**2))
 
+    def log_evidence(self) -> float:
+        """Log evidence of what was taken up against nothing (MacKay 1992): ½ bᵀMb − ½ ln det(Λ M⁻¹), b = Fᵀ P y."""
+        if not len(self.taken_prior):
+            return 0.0
+        along = self.absorbed.T @ self.y
+        logdet = -np.linalg.slogdet(self.middle)[1] + 2 * np.log(self.taken_prior).sum()
+        return float(0.5 * (along @ self.middle @ along - logdet))
+
     def left(self) -> Array:
         """(F·3T,) P' y: whitened residual of the fit visits."""
         base = self.absorb(self.y[:, None])[:, 0]
