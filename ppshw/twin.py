@@ -105,7 +105,8 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
     if recording.sha256 == calibration.provenance.get("recording_sha256"):
         prior = _prior(calibration)[active]
         if calibration.effects:
-            columns = np.stack([c.evaluate(context) for e in calibration.effects for c in e.columns], axis=2)
+            free = [c for e in calibration.effects for c in e.columns if c.function != "instead"]
+            columns = np.stack([c.evaluate(context) for c in free], axis=2)
             design = np.concatenate([design, (root @ columns).reshape(len(design), -1).astype(np.float32)], axis=1)
             prior = np.concatenate([prior, *map(_allowed, calibration.effects)])
         wrong = _fitted(design, prior)
@@ -118,7 +119,7 @@ def _allowed(effect: Effect) -> Array:
     """(k,) prior standard deviations of an effect's coefficients: one for a Gaussian process, else as wide as what was
     found, since a calibration does not keep what an effect was allowed to be."""
     if effect.columns[0].function == "unexplained":
-        return np.ones(len(effect.values))
+        return np.ones(sum(c.function == "unexplained" for c in effect.columns))
     return np.maximum(np.hypot(effect.values, effect.std), 1e-15)
 
 

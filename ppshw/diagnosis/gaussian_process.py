@@ -38,27 +38,21 @@ MOST_MODES = 64
 class Correction:
     """region: where, over which columns; frame and components (C,) that move; amplitude (C,) standard deviations before
     any data [m, rad]; modes (k, C, m) directions in φ, scaled so that their coefficients are N(0, 1) before any data;
-    mean (k, C) of each over the visits; evidence: log, against nothing, counting all that was tried"""
+    evidence: log, against nothing, counting all that was tried"""
 
     region: Region
     frame: int
     components: tuple[int, ...]
     amplitude: Array
     modes: Array
-    mean: Array
     evidence: float
 
     def columns(self) -> tuple[Column, ...]:
-        r = self.region
         where = {
-            "names": list(r.names), "centre": r.centre.tolist(), "spread": r.spread.tolist(), "low": r.low.tolist(),
-            "high": r.high.tolist(), "length": r.length.tolist(), "sites": r.sites.tolist(),
-            "frame": self.frame, "components": list(self.components), "amplitude": self.amplitude.tolist(),
+            **self.region.as_dict(), "frame": self.frame, "components": list(self.components),
+            "amplitude": self.amplitude.tolist(),
         }  # fmt: skip
-        return tuple(
-            Column("frames", "unexplained", {**where, "mode": mode.tolist(), "mean": mean.tolist()}, self.frame)
-            for mode, mean in zip(self.modes, self.mean, strict=True)
-        )
+        return tuple(Column("frames", "unexplained", {**where, "mode": m.tolist()}, self.frame) for m in self.modes)
 
 
 def in_words(columns: tuple[Column, ...], machine: Machine) -> str:
@@ -187,5 +181,4 @@ def _correction(
     told, vectors = eigh(sigma[:, None] * info * sigma)
     kept = np.flatnonzero(told > TOLD)[::-1][:MOST_MODES]
     modes = (sigma[:, None] * vectors[:, kept]).T.reshape(len(kept), len(chosen), phi.shape[1])
-    mean = modes @ phi[model.space.fit].mean(axis=0)
-    return Correction(region, frame, tuple(chosen), amplitude, modes, mean, evidence)
+    return Correction(region, frame, tuple(chosen), amplitude, modes, evidence)

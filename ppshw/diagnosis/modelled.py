@@ -6,6 +6,7 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.carried import a_matter_of_time
@@ -15,41 +16,104 @@ from ppshw.diagnosis.search import Found, coefficients, modelled
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import UNNAMED, Effect
+from ppshw.terms.shapes import Column, region_of
+
+Array = NDArray[np.float64]
 
 
-def extended(space: Workspace, found: list[tuple[Found, Candidate]]) -> Calibration:
-    """The calibration with every finding modelled. Structure without a name is marked as such: a Gaussian process over
-    the columns that it depends on, nothing where the recording saw nothing of them; predictions have it, no axis is
-    driven by it."""
-    space = _without_the_rest(space, found)
-    base, _ = space.coefficients()
-    theta = np.zeros(len(space.active))
-    theta[space.active] = base
+Pair = tuple[Found, Candidate]
+
+
+def extended(space: Workspace, found: list[Pair]) -> Calibration:
+    """The calibration with every finding modelled.
+
+    Structure without a name is marked as such: a Gaussian process over the columns that it depends on. Beside it the
+    base model and the named effects have other values than without it; these belong to it. Where the recording saw
+    nothing of its columns a prediction has neither, and is what it would be without the correction.
+    """
+    corrections = [p for p in found if p[0].carried and _is_correction(p[1])]
+    whole = _fitted_without(space, [p for p in found if _left_out(space, p)])
+    alone = _fitted_without(space, [p for p in found if _left_out(space, p) or p in corrections])
     effects = []
     for f, candidate in found:
         if not f.carried:
             continue
-        columns, values, std = modelled(space, candidate, f)
-        own, _, rms = coefficients(space, candidate, f)
-        numbers = tuple(values.tolist()), tuple(std.tolist())
         name = UNNAMED if candidate.effect == "nameless" else candidate.effect
+        corrects = _is_correction(candidate)
+        columns, values, std = modelled(whole if corrects else alone, candidate, f)
+        own, _, rms = coefficients(whole if corrects else alone, candidate, f)
         said = sentence(candidate, own, rms)
-        if columns[0].function == "unexplained":
+        if corrects:
             said += f" It is carried without a name, as {in_words(columns, space.machine)}."
-        effects.append(Effect(name, candidate.joint, columns, *numbers, said))
+        effects.append(Effect(name, candidate.joint, columns, tuple(values.tolist()), tuple(std.tolist()), said))
+    if corrections:
+        effects = _joined(effects, _instead(whole, alone, [p for p in found if p[0].carried], corrections))
     recording = space.recording.subset(space.fit)
-    calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")
+    calibration = Calibration.of(replace(space.base, theta=_theta(alone)), recording, "joint")
     return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference))
 
 
+def _is_correction(candidate: Candidate) -> bool:
+    return candidate.columns[0].function == "unexplained"
 
-def _without_the_rest(space: Workspace, found: list[tuple[Found, Candidate]]) -> Workspace:
-    """Fitted without structure that a calibration does not have, or its share would be missing from predictions. What
-    goes with time stays in the fit: it is no part of the machine as it will be found."""
+
+def _left_out(space: Workspace, pair: Pair) -> bool:
+    """What a calibration does not have must not be fitted, or its share would be missing from predictions. What goes
+    with time stays in the fit: it is no part of the machine as it will be found."""
+    f, candidate = pair
+    return not f.carried and not a_matter_of_time(space.context, candidate.covariates)
+
+
+def _fitted_without(space: Workspace, left_out: list[Pair]) -> Workspace:
     taken = space.taken.copy()
-    for f, candidate in found:
-        if not f.carried and not a_matter_of_time(space.context, candidate.covariates):
-            taken[:, :, f.at : f.at + len(candidate.columns) + len(f.near)] = 0.0
+    for f, candidate in left_out:
+        taken[:, :, f.at : f.at + len(candidate.columns) + len(f.near)] = 0.0
     space = copy(space)
     space.take_up(taken, space.taken_prior)
     return space
+
+
+def _theta(space: Workspace) -> Array:
+    theta = np.zeros(len(space.active))
+    theta[space.active] = space.coefficients()[0]
+    return theta
+
+
+def _instead(
+    whole: Workspace, alone: Workspace, carried: list[Pair], corrections: list[Pair]
+) -> list[tuple[Column, float]]:
+    """Columns with coefficients: what everything else is different by where the corrections are used."""
+    args = [c.columns[0].args for _, c in corrections]
+    regions = [region_of(a).as_dict() for a in args]
+    change = _theta(whole) - _theta(alone)
+    out: list[tuple[Column, float]] = [(Column("frames", "model_shift", {"theta": change.tolist()}), 1.0)]
+    if whole.base.model.target_offset is not None:
+        for k, value in enumerate(change[-whole.machine.target_array.size :]):
+            out.append((Column("points", "target_shift", {"target": k // 3, "axis": k % 3}), float(value)))
+    for f, candidate in carried:
+        if not _is_correction(candidate):
+            columns, values, _ = modelled(whole, candidate, f)
+            differs = values - modelled(alone, candidate, f)[1]
+            out += list(zip(columns, differs.tolist(), strict=True))
+    return [
+        (Column(c.on, "instead", {"column": c.as_dict(), "regions": regions}, c.frame, c.component), value)
+        for c, value in out
+    ]
+
+
+def _joined(effects: list[Effect], instead: list[tuple[Column, float]]) -> list[Effect]:
+    """Each correction is used only where all of them have data; the first carries what is different there."""
+    out = []
+    everywhere = {
+        id(e): region_of(e.columns[0].args).as_dict() for e in effects if e.columns[0].function == "unexplained"
+    }
+    for e in effects:
+        if id(e) in everywhere:
+            others = [r for key, r in everywhere.items() if key != id(e)]
+            columns = tuple(replace(c, args={**c.args, "others": others}) for c in e.columns)
+            values, std = e.values + tuple(v for _, v in instead), e.std + (0.0,) * len(instead)
+            out.append(replace(e, columns=(*columns, *(c for c, _ in instead)), values=values, std=std))
+            instead = []
+        else:
+            out.append(e)
+    return out

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
                      "load_power", "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
-                     "target_shift", "covariate", "covariate_pair", "unexplained"})  # fmt: skip
+                     "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
@@ -67,7 +67,7 @@ class KnownEffects:
         self._looks_back = any(_looks_back(c) for c in columns)
         self._creeps = any(e.name == "creep" for e in effects)
         # only those ask for the links' compliances
-        self._bends = any(c.on == "frames" and c.function != "unexplained" for c in columns)
+        self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
         self._compliance_at: tuple[Array, Array] | None = None
 
     @property
@@ -85,7 +85,7 @@ class KnownEffects:
 
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
         if effect.name == UNNAMED:
-            return False, "nothing says that it stays: no axis is driven by it; taken as it was on average"
+            return False, "nothing says that it stays: no axis is driven by it, nor by what it would change"
         if any(c.on == "points" for c in effect.columns):
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if effect.name == "zero_shift":
@@ -122,10 +122,10 @@ class KnownEffects:
 
     def column_errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
         """Per coefficient (k, n+1, 6) of its unit, and the coefficients' standard deviations (k,). Of a Gaussian
-        process none is used but its mean: the whole of it stays unsure, per component."""
+        process nothing is used: the whole of it stays unsure, per component."""
         context = self._context(now, past, base, wrenches)
         columns = [(e, c, s) for e in self.effects for c, s in zip(e.columns, e.std, strict=True)
-                   if c.function != "unexplained"]  # fmt: skip
+                   if c.function not in ("unexplained", "instead")]  # fmt: skip
         out = np.zeros((len(columns), *base.shape[1:]))
         for k, (effect, column, _) in enumerate(columns):
             self._add(out[k : k + 1], effect, column, 1.0, context)
@@ -148,8 +148,8 @@ class KnownEffects:
         a zero as it was left, anything else on average over the recording."""
         if column.function in ("covariate", "covariate_pair"):
             return np.asarray(_mean_bump(column))
-        if column.function == "unexplained":
-            return self._on_frame(column, column.args["mean"])
+        if column.function in ("unexplained", "instead"):  # without them the base model stands as it is
+            return np.zeros((self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         hours = self._reference.get("hours", 0.0)

@@ -71,6 +71,7 @@ def instrument_error(
     out = np.zeros((len(recording), 1, 3))
     for effect in effects:
         for column, value in zip(effect.columns, effect.values, strict=True):
-            if column.on == "points" and column.function != "target_shift":
+            moves_one = "target_shift" in (column.function, column.args.get("column", {}).get("function"))
+            if column.on == "points" and not moves_one:
                 out += value * column.evaluate(context).reshape(out.shape)
     return np.asarray(out[:, 0])

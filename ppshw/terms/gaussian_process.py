@@ -13,6 +13,7 @@ too; what φ leaves of the variance, 1 − |φ|², is not known and stays in the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,19 +60,36 @@ class Region:
         sites = unit[_pivots(unit / length)]
         return cls(names, centre, spread, values.min(axis=0), values.max(axis=0), length, sites)
 
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "names": list(self.names), "centre": self.centre.tolist(), "spread": self.spread.tolist(),
+            "low": self.low.tolist(), "high": self.high.tolist(), "length": self.length.tolist(),
+            "sites": self.sites.tolist(),
+        }  # fmt: skip
+
     def basis(self, values: Array) -> Array:
         """(N, d) → φ (N, m), zero where there were no data or a value is missing."""
         known = np.asarray(np.isfinite(values).all(axis=1))
         values = np.where(known[:, None], values, self.centre)
-        near = matern(self.sites / self.length, (values - self.centre) / self.spread / self.length)
-        lower = np.linalg.cholesky(matern(self.sites / self.length, self.sites / self.length)
-                                   + JITTER * np.eye(len(self.sites)))  # fmt: skip
-        phi = np.asarray(solve_triangular(lower, near, lower=True).T)
+        phi = self._sited(values)
         return phi * (known * self._window(values, (phi**2).sum(axis=1)))[:, None]
 
     def weight(self, values: Array) -> Array:
         """(N, d) → (N,) share of f's variance that the sites determine, 0 where the correction is not used."""
         return np.asarray((self.basis(values) ** 2).sum(axis=1))
+
+    def window(self, values: Array) -> Array:
+        """(N, d) → (N,) 1 where there were data, 0 where not or where a value is missing."""
+        known = np.asarray(np.isfinite(values).all(axis=1))
+        values = np.where(known[:, None], values, self.centre)
+        return known * self._window(values, (self._sited(values) ** 2).sum(axis=1))
+
+    def _sited(self, values: Array) -> Array:
+        """L⁻¹ k(Z, x), (N, m)"""
+        near = matern(self.sites / self.length, (values - self.centre) / self.spread / self.length)
+        lower = np.linalg.cholesky(matern(self.sites / self.length, self.sites / self.length)
+                                   + JITTER * np.eye(len(self.sites)))  # fmt: skip
+        return np.asarray(solve_triangular(lower, near, lower=True).T)
 
     def _window(self, values: Array, determined: Array) -> Array:
         fade = BEYOND * np.maximum(self.high - self.low, 1e-12)

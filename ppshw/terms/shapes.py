@@ -34,7 +34,8 @@ class Context:
 
     jacobian (N, 3T, n+1, 6), wrenches (N, n+1, 6), points (N, T, 3) in the base, tips (N, 4, 4): from the base model
     chain (N, n+1, 4, 4) frames in the base; compliance (N, n+1, 6, 6) of every frame as calibrated, zero where rigid
-    measuring_in_base (4, 4) where the instrument stands; hours (N,) since the start; reference: see `of`
+    measuring_in_base (4, 4) where the instrument stands; hours (N,) since the start; reference: see `of`;
+    model: the base model, where there is one at hand
     """
 
     machine: Machine
@@ -48,6 +49,7 @@ class Context:
     measuring_in_base: Array
     hours: Array
     reference: dict[str, float]
+    model: Model | None = None
 
     @classmethod
     def of(
@@ -71,7 +73,7 @@ class Context:
         start = reference.setdefault("start", first if np.isfinite(first) else 0.0)
         return cls(
             model.machine, recording, jacobian, wrenches, points, tips, chain, compliances(model, theta, situation),
-            measuring_in_base, hours_since(start, recording.time), reference,
+            measuring_in_base, hours_since(start, recording.time), reference, model,
         )  # fmt: skip
 
     def frozen(self, key: str, value: float) -> float:
@@ -382,16 +384,43 @@ def _turned(frame: Array, force: Array, moment: Array) -> Array:
 def unexplained(
     c: Context, names: list[str], centre: list[float], spread: list[float], low: list[float], high: list[float],
     length: list[float], sites: list[list[float]], frame: int, components: list[int], amplitude: list[float],
-    mode: list[list[float]], mean: list[float],
+    mode: list[list[float]], others: list[dict[str, Any]] | None = None,
 ) -> Array:  # fmt: skip
     """One direction of a Gaussian process over columns, nothing where the recording it was learnt from had no data.
 
-    mode (C, m) of the process's functions for the components of a frame; amplitude, mean (C,): see `Correction`
+    mode (C, m) of the process's functions for the components of a frame; amplitude (C,): see `Correction`; others:
+    regions of further processes that were learnt beside it, outside of which this one is not used either
     """
     region = region_of({"names": names, "centre": centre, "spread": spread, "low": low, "high": high,
                         "length": length, "sites": sites})  # fmt: skip
     out = np.zeros_like(c.wrenches)
     out[:, frame, components] = region.basis(columns_at(c, region.names)) @ np.array(mode).T
+    return out * windows(c, others or [])[:, None, None]
+
+
+def instead(c: Context, column: dict[str, Any], regions: list[dict[str, Any]]) -> Array:
+    """Another column, where all of these regions had data: what else has another value beside a Gaussian process."""
+    inner = Column.from_dict(column).value(c)
+    return np.asarray(inner * windows(c, regions).reshape(-1, *[1] * (inner.ndim - 1)))
+
+
+def model_shift(c: Context, theta: list[float]) -> Array:
+    """(N, n+1, 6) of the base model's frame terms, with other parameters by `theta` (p,)."""
+    out = np.zeros_like(c.wrenches)
+    if c.model is None:
+        return out
+    situation, at = Situation.of(c.recording), 0
+    for term, size in zip(c.model.terms, c.model.sizes, strict=False):
+        out[:, term.frame] += term.regressors(situation, c.wrenches) @ np.array(theta[at : at + size])
+        at += size
+    return out
+
+
+def windows(c: Context, regions: list[dict[str, Any]]) -> Array:
+    """(N,) 1 where all regions had data, 0 where one of them had not."""
+    out = np.ones(len(c.recording))
+    for region in map(region_of, regions):
+        out *= region.window(columns_at(c, region.names))
     return out
 
 
@@ -436,6 +465,6 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
         settling, wave, load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair,
         covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
-        unexplained,
+        unexplained, instead, model_shift,
     )
 }  # fmt: skip

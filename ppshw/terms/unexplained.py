@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.terms.effect import Effect
-from ppshw.terms.shapes import Context, columns_at, region_of
+from ppshw.terms.shapes import Context, columns_at, region_of, windows
 
 Array = NDArray[np.float64]
 USED = 0.5  # share of what the correction may be that its sites determine, from which on it counts as used
@@ -45,14 +45,14 @@ def unexplained_at(effects: Sequence[Effect], context: Context) -> list[Unexplai
             continue
         args = effect.columns[0].args
         region, frame, components = region_of(args), args["frame"], args["components"]
-        told = 1.0 - np.array(effect.std) ** 2
         covariance = np.zeros((len(context.recording), len(components), len(components)))
         covariance[:] = np.diag(np.square(args["amplitude"]))
-        for column, share in zip(effect.columns, told, strict=True):
-            d = column.value(context)[:, frame, components]
-            covariance -= share * d[:, :, None] * d[:, None, :]
+        for column, std in zip(effect.columns, effect.std, strict=True):
+            if column.function == "unexplained":
+                d = column.value(context)[:, frame, components]
+                covariance -= (1.0 - std**2) * d[:, :, None] * d[:, None, :]
         moved = context.jacobian[:, :, frame, components]
         variance = np.einsum("nia,nab,nib->ni", moved, covariance, moved).reshape(len(moved), -1, 3).sum(axis=2)
-        weight = region.weight(columns_at(context, region.names))
+        weight = region.weight(columns_at(context, region.names)) * windows(context, args.get("others", []))
         out.append(Unexplained(region.names, weight, np.sqrt(np.maximum(variance, 0.0))))
     return out
