@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -32,6 +31,7 @@ from ppshw.terms.elastic import Compliance
 from ppshw.terms.geometric import Geometric
 from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
+from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
 FORMAT = "ppshw calibration 1"
@@ -115,9 +115,7 @@ class Calibration:
             raise CalibrationError(f"{path}: the folder {path.parent} does not exist")
         content = self._as_dict()
         content["content_sha256"] = content_digest(content)
-        partial = path.with_name(path.name + ".part")
-        partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        os.replace(partial, path)
+        write_text(path, json.dumps(content, indent=1), CalibrationError)
 
     def _as_dict(self) -> dict[str, Any]:
         machine, std = self.machine, np.sqrt(np.diag(self.covariance))

@@ -18,8 +18,8 @@ import re
 import signal
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -29,6 +29,7 @@ import numpy as np
 from ppshw import __version__
 from ppshw.errors import BadInput, PpshwError
 from ppshw.progress import Bar
+from ppshw.whole_file import written_whole
 
 # What the system says of a path that the user gave; any other OSError is a run that failed.
 _BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG,
@@ -66,18 +67,6 @@ def _new_file(path: str, *inputs: str) -> Path:
     return out
 
 
-@contextmanager
-def _written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
-    """A file beside `path` that takes its place when all went well, and is gone when not."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        yield partial
-        if partial.exists() or not may_be_missing:
-            os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
 # --- recordings ------------------------------------------------------------------------------------------------
 def import_(a: argparse.Namespace) -> None:
     """import: CSV → SQLite, nothing written unless every value is good."""
@@ -100,7 +89,7 @@ def import_(a: argparse.Namespace) -> None:
         "csv_newline": "CRLF" if table.newline == "\r\n" else "LF",
         "ppshw": __version__,
     }
-    with _written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
+    with written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
         file.append_rows(table.rows)
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
@@ -116,7 +105,7 @@ def export(a: argparse.Namespace) -> None:
     if out.is_file() and is_sqlite(out):
         raise BadInput(f"{out}: is a recording already, expected the name of a CSV file to write")
     table = read_table(a.rec)
-    with _written_whole(out) as partial:
+    with written_whole(out) as partial:
         partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")
     _say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {len(table.rows)} visits")
 
@@ -362,7 +351,7 @@ def diagnose(a: argparse.Namespace) -> None:
             write_diagnosis(found, Path(a.page))
     if a.out is not None:
         extended(found.space, found.found).save(a.out)
-    with _written_whole(Path(a.json)) as partial:
+    with written_whole(Path(a.json)) as partial:
         partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
     held = answer["held_out"]
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
@@ -396,7 +385,7 @@ def twin(a: argparse.Namespace) -> None:
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))
         checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]
-    with _written_whole(out) as partial:
+    with written_whole(out) as partial:
         partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
     twin = figures(residuals(parse_table(made, machine), calibration))
     answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
@@ -513,7 +502,7 @@ def _designed(
         None if a.loads is None else load_script(a.loads),
         a.load_cases, a.point, a.seed, out.stem, f"ppshw plan {words} --seed {a.seed}",
     )  # fmt: skip
-    with Bar() as bar, _written_whole(out, may_be_missing=True) as partial:
+    with Bar() as bar, written_whole(out, may_be_missing=True) as partial:
         found = design(question, partial, lambda stage: lambda k, n: bar(stage, k, n))
     answer.update(found.numbers, out=None if found.plan is None else a.out)
     return found.plan, [*found.lines, *([] if found.plan is None else [a.out])]
@@ -552,7 +541,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     if not visits:
         _say(a, answer, "\n".join([*found.lines(), "told apart already, or by no visits tried: nothing written"]))
         return
-    with _written_whole(out, may_be_missing=True) as partial:
+    with written_whole(out, may_be_missing=True) as partial:
         partial.write_text(found.text, encoding="utf-8")
     plan_campaign(load_script(out), machine)
     _say(a, answer, "\n".join([*found.lines(), f"{visits} visits, about {_hours(found.seconds)}", a.out]))

@@ -15,7 +15,6 @@ before the answer lies on disk.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -32,6 +31,7 @@ from ppshw.prove_page import write_page
 from ppshw.prove_score import Json, read_answer, score_case
 from ppshw.prove_table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
+from ppshw.whole_file import write_text
 
 # What an answer needs: (case folder, answer folder) → the contract's JSON; it may leave calibration.json there.
 # A third argument takes a name out of the library, for cases that ask for it.
@@ -143,7 +143,7 @@ def run_prove(
     ).lost
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
-    _write(out / "prove.json", json.dumps(document, indent=1))
+    write_text(out / "prove.json", json.dumps(document, indent=1))
     write_page(out, document, scores)
     return document
 
@@ -172,9 +172,9 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     began = time.perf_counter()
     answer = diagnoser(case, answers, spec.without) if spec.without else diagnoser(case, answers)
     seconds = time.perf_counter() - began
-    _write(answers / "answer.json", json.dumps(answer, indent=1))
+    write_text(answers / "answer.json", json.dumps(answer, indent=1))
     found = score_case(case, sealed, answer, answers / "calibration.json", seconds)
-    _write(score, json.dumps({"spec": asdict(spec), **found}, indent=1))
+    write_text(score, json.dumps({"spec": asdict(spec), **found}, indent=1))
     return score
 
 
@@ -197,12 +197,6 @@ def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIME_LIMIT_S)
     except subprocess.TimeoutExpired:
         raise PpshwError(f"stopped after {TIME_LIMIT_S:g} s") from None
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
 
 
 def sentences(document: dict[str, Any]) -> str:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from ppshw.errors import RecordingError
+from ppshw.whole_file import write_text
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,7 @@ def write_csv(out_csv: Path, columns: Mapping[str, Sequence[str]]) -> int:
     writer.writerow(columns)
     rows = list(zip(*columns.values(), strict=True))
     writer.writerows(rows)
-    partial = out_csv.with_name(out_csv.name + ".part")
-    try:
-        partial.write_text(text.getvalue(), encoding="utf-8")
-        os.replace(partial, out_csv)
-    except OSError as exc:
-        raise RecordingError(f"{out_csv}: cannot be written ({exc.strerror or exc})") from None
+    write_text(out_csv, text.getvalue(), RecordingError)
     return len(rows)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from copy import copy
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -24,6 +23,7 @@ from ppshw.errors import ReportError
 from ppshw.report import residuals
 from ppshw.report.picture import Picture
 from ppshw.terms.shapes import Context, named_column
+from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
 NAME = "diagnosis.html"
@@ -50,13 +50,7 @@ class Shown:
 def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = None) -> None:
     """Write the page, whole or not at all. Raises ReportError where it cannot be written."""
     text = render(diagnosis, now or datetime.now(UTC))
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as exc:
-        partial.unlink(missing_ok=True)
-        raise ReportError(f"{path}: cannot be written ({exc.strerror})") from None
+    write_text(path, text, ReportError)
 
 
 def render(diagnosis: Diagnosis, now: datetime) -> str:

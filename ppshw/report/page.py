@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +17,7 @@ from ppshw.report.contents import Contents, read_diagnosis, read_folder
 from ppshw.report.numbers import Fit, Numbers, compute, fit
 from ppshw.report.picture import BEFORE, Picture
 from ppshw.report.tables import mm, timed
+from ppshw.whole_file import write_text
 
 NAME = "report.html"
 # What a run's own figures file may say beside the contract's keys is shown as it stands; these are in the table.
@@ -43,13 +43,7 @@ def build_report(folder: Path | str, now: datetime | None = None) -> Path:
     contents = read_folder(folder)
     text = render(contents, now or datetime.now(UTC))
     path = folder / NAME
-    partial = path.with_name(f"{NAME}.{os.getpid()}.part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as exc:
-        partial.unlink(missing_ok=True)
-        raise ReportError(f"{path}: cannot be written ({exc.strerror})") from None
+    write_text(path, text, ReportError)
     return path
 
 
