@@ -20,7 +20,7 @@ import json
 import os
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,7 @@ def own_share(space: Workspace, field: Array) -> tuple[float, float]:
 def of_case(case: Case, clean: Workspace) -> tuple[list[str], float, float]:
     """A row of the first table; share and √λ over the bound's."""
     answered = diagnose(case.machine, case.recording)
-    space = answered.space
+    space = answered.space.as_learnt()  # beside a finding that acts through them compliances had been left free
     space.forget()
     share, strength = own_share(space, case.field)
     told = bound(case.machine, case.recording, clean.base, case.field, case.truth)
@@ -168,6 +168,7 @@ class Counted:
     own: list[float]
     drawn: list[float]
     anyone: list[float]
+    off: list[str] = field(default_factory=list)
     never: int = 0
     enough: float = 0.0
     recordings: int = 0
@@ -181,6 +182,8 @@ class Counted:
         for sight, true in zip(found, true_shares(clean, roots, fields), strict=True):
             if sight.share > MUCH:
                 self.ratios.append(sight.share / float(true))
+                if abs(self.ratios[-1] - 1.0) > WITHIN:
+                    self.off.append(f"{sight.name[0]} of {sight.name[1]} {self.ratios[-1]:.2f} ({100 * true:.1f} %)")
             else:
                 self.small.append((*sight.name, sight.share, sight.share / float(true)))
         asked = [s for s in found if s.visible]  # of others no size is said
@@ -198,8 +201,9 @@ class Counted:
         second = (
             f"Of the typical form of every name in {self.recordings} recordings ({len(ratios)} of which more than "
             f"{100 * MUCH:g} % is left), the row's share over that under the noise as drawn: {_range(ratios)}; "
-            f"within {100 * WITHIN:.0f} %: {_within(ratios)}."
+            f"within {100 * WITHIN:.0f} %: {_within(ratios)}"
         )
+        second += f", not so {', '.join(self.off)}." if self.off else "."
         if len(rest):
             second += f" Of the {len(rest)} of which less is left: {_range(rest)}; within 10 %: {_within(rest)}."
         third = (

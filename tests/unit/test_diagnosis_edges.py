@@ -1,0 +1,128 @@
+"""Recordings that lack something: every command of a diagnosis answers in finite numbers, or says in a line why not."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ppshw.cli import main
+from simulators.concealed.case import make_case
+
+VISITS = 48
+Rows = list[list[str]]
+
+
+@dataclass
+class Case:
+    """A machine entry and a recording's cells, the header first; both may be changed."""
+
+    machine: dict[str, Any]
+    rows: Rows
+
+    def without(self, unwanted: Callable[[str], bool]) -> None:
+        keep = [k for k, name in enumerate(self.rows[0]) if not unwanted(name)]
+        self.rows = [[row[k] for k in keep] for row in self.rows]
+
+    def column(self, name: str) -> int:
+        return self.rows[0].index(name)
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("clean")
+    make_case(72500, "pps", "backlash", 2.0, folder, folder / "sealed", visits=VISITS, fit=VISITS)
+    return folder
+
+
+@pytest.fixture
+def case(clean: Path) -> Case:
+    with (clean / "recording.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    return Case(yaml.safe_load((clean / "machine.yaml").read_text(encoding="utf-8")), rows)
+
+
+def written(case: Case, folder: Path) -> list[str]:
+    (folder / "machine.yaml").write_text(yaml.safe_dump(case.machine, sort_keys=False), encoding="utf-8")
+    with (folder / "recording.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(case.rows)
+    return [str(folder / "recording.csv"), "--machine", str(folder / "machine.yaml")]
+
+
+def refuse(constant: str) -> None:
+    raise AssertionError(f"{constant} in an answer")
+
+
+def answered(case: Case, folder: Path) -> dict[str, Any]:
+    """diagnose, twin and evaluate with what was found, all without complaint; the diagnosis' answer."""
+    where = written(case, folder)
+    calibration = str(folder / "extended.json")
+    said = ["--json", str(folder / "answer.json"), "--out", calibration, "--page", str(folder / "page.html")]
+    assert main(["diagnose", *where, *said]) == 0
+    answer: dict[str, Any] = json.loads((folder / "answer.json").read_text(encoding="utf-8"), parse_constant=refuse)
+    assert not re.search(r"\bnan\b", (folder / "page.html").read_text(encoding="utf-8"), re.IGNORECASE)
+    assert main(["twin", *where, "--calibration", calibration, "--out", str(folder / "twin.csv"), "--seed", "1"]) == 0
+    assert main(["evaluate", *where, "--calibration", calibration]) == 0
+    assert 0.02 < answer["noise_floor_mm"] < 0.5  # 0.1 mm by the machine file
+    assert answer["held_out"]["rms_after_mm"] < 1.0
+    assert all(0.0 <= row["share"] <= 1.0 and row["detectable_mm"] > 0.0 for row in answer["visibility"])
+    return answer
+
+
+def effects(answer: dict[str, Any]) -> set[str]:
+    return {row["effect"] for row in answer["visibility"]}
+
+
+def test_one_reflector_is_enough_and_cannot_have_moved_against_others(case: Case, tmp_path: Path) -> None:
+    targets = case.machine["tip"]["targets"]
+    case.machine["tip"]["targets"] = {"P1": targets["P1"]}
+    case.without(lambda name: name.startswith(("P2_", "P3_")))
+    answer = answered(case, tmp_path)
+    assert "target_moved" not in effects(answer)
+    assert "backlash" in effects(answer)
+
+
+def test_what_needs_a_wrench_a_thermometer_or_directions_is_not_spoken_of_without_them(
+    case: Case, tmp_path: Path
+) -> None:
+    forces = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    case.without(lambda name: name in forces or name.startswith(("temp_", "approach_")))
+    answer = answered(case, tmp_path)
+    assert not {"backlash", "thermal_growth", "wrench_error"} & effects(answer)
+    assert {"friction_hysteresis", "drift", "periodic_transmission"} <= effects(answer)
+
+
+def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Case, tmp_path: Path) -> None:
+    case.machine.setdefault("tracker", {})["base"] = "estimate"
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    rng = np.random.default_rng(3)
+    for k, row in enumerate(case.rows[1:]):
+        for target in ("P1", "P2", "P3"):
+            at = slice(case.column(f"{target}_x"), case.column(f"{target}_z") + 1)
+            moved = turn @ np.array(row[at], dtype=float) + [2.0, 1.0, -3.0]
+            row[at] = ["", "", ""] if rng.random() < 0.15 or k == 7 else [f"{x:.7f}" for x in moved]
+        if rng.random() < 0.1:
+            row[case.column("temp_air_C")] = ""
+        row += ["" if rng.random() < 0.3 else f"{rng.normal():.3f}", f"{rng.normal():.3f}"]
+    case.rows[0] += ["cov_flow", "cov_pressure"]
+    answer = answered(case, tmp_path)
+    assert answer["visits"] == VISITS - 1  # the one of which nothing was seen says nothing
+    assert {"backlash", "drift"} <= effects(answer)
+
+
+def test_too_few_visits_are_refused_with_their_number(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case.rows = case.rows[:40]
+    where = written(case, tmp_path)
+    assert main(["diagnose", *where, "--json", str(tmp_path / "answer.json")]) != 0
+    assert "39 visits with a target, expected at least 40" in capsys.readouterr().err
+    assert not (tmp_path / "answer.json").exists()
