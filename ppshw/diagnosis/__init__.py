@@ -88,6 +88,7 @@ def diagnose(
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
         space = prepare(machine, recording, believed, base, spread)
         moments = tuple(f.shape["time_h"] for f in (tried.candidates[g.best] for g in found) if "time_h" in f.shape)
+        del tried  # its columns are most of the memory: the next look lays its own
         tried, found = _look(space, without, seed, moments, lambda k: tell(6 + k, 10))
     scatter = None if "unsettled" in without else scatter_of(space, seed)
     space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
