@@ -23,8 +23,8 @@ Progress = Callable[[int, int], None]
 # What counts as significant, family-wise: the first finding, and any beside it.
 FIRST, FURTHER = 0.05, 0.02
 MOST_FINDINGS = 5
-# No finding without real odds, however quiet the null: e² = 7 to 1 against nothing (of 40 clean recordings three reached
-# e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
+# No finding without real odds, however quiet the null: e² = 7 to 1 against nothing (of 40 clean recordings three
+# reached e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
 # Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
 SAME_EFFECT = 0.5
