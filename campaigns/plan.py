@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from campaigns.script import LoadCase, PosesStep, RandomStep, Script, Step, SweepStep
+from campaigns.script import LoadCase, PosesStep, RandomStep, ReversalsStep, Script, Step, SweepStep
 from ppshw import kinematics
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Machine
@@ -31,6 +31,8 @@ ACCELERATION_GUESS = 0.05
 # A pose that is asked for twice in a row is left in between, this share of every joint's travel at most:
 # standing still is no repeat.
 STEP_ASIDE = 0.08
+# Least and greatest move between two reversals, shares of a joint's travel: friction turns within about so much.
+LEAST_BACK, MOST_BACK = 0.004, 0.2
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,8 @@ def _expand(step: Step, number: int, script: Script, machine: Machine, home: Arr
         poses = [(_at(home, pose.q, machine, pose.where), pose.load, pose.where) for pose in step.poses]
     elif isinstance(step, SweepStep):
         poses = [(q, None, step.where) for q in _sweep(step, machine, home)]
+    elif isinstance(step, ReversalsStep):
+        poses = [(q, None, step.where) for q in _reversals(step, machine, rng)]
     elif isinstance(step, RandomStep):
         drawn = _random(step, machine, rng)
         given = [step.loads[k % len(step.loads)] if step.deal else None for k in range(len(drawn))]
@@ -164,6 +168,22 @@ def _sweep(step: SweepStep, machine: Machine, home: Array) -> list[Array]:
         q = _at(home, step.at, machine, step.where)
         q[k] = value
         poses.append(q)
+    return poses
+
+
+def _reversals(step: ReversalsStep, machine: Machine, rng: np.random.Generator) -> list[Array]:
+    """Joint by joint: somewhere, then there and back in moves of every size, in random order, off any grid."""
+    low, high = machine.limits()
+    poses = []
+    for k in [_joint_index(name, machine, step.where) for name in step.joints] or range(machine.n):
+        start = rng.uniform(0.05, 0.95, machine.n)
+        start[k] = rng.uniform(0.35, 0.65)
+        moves = rng.permutation(np.geomspace(LEAST_BACK, MOST_BACK, step.count - 1))
+        moves[::2] *= -1.0
+        for at in start[k] + np.concatenate([[0.0], np.cumsum(moves)]):
+            share = start.copy()
+            share[k] = np.clip(at, 0.01, 0.99)
+            poses.append(low + share * (high - low))
     return poses
 
 

@@ -100,6 +100,14 @@ class RandomStep(Step):
 
 
 @dataclass(frozen=True)
+class ReversalsStep(Step):
+    """Every joint, or those named, turns back in moves of 0.4 to 20 % of its travel; `count` poses each."""
+
+    count: int
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Reference:
     """A pose measured again every `every` visits under whatever load is on, against drift; closing: at the end too."""
 
@@ -230,7 +238,7 @@ def _range(section: Section, key: str) -> tuple[float, float]:
 
 # --- steps ---------------------------------------------------------------------------------------------------
 def _step(section: Section, file: str, loads: Mapping[str, tuple[LoadCase, ...]], targets: tuple[str, ...]) -> Step:
-    kind = section.text("kind", choices=("poses", "sweep", "random"))
+    kind = section.text("kind", choices=("poses", "sweep", "random", "reversals"))
     wanted = section.texts("loads", default=list(loads), choices=tuple(loads))
     name, where = section.text("step"), f"{file}:{section.line}"
     cases = tuple(case.name for entry in wanted for case in loads[entry])
@@ -245,6 +253,12 @@ def _step(section: Section, file: str, loads: Mapping[str, tuple[LoadCase, ...]]
         step = PosesStep(name, where, cases, repeat, shuffle, asked, poses)
     elif kind == "sweep":
         step = _sweep(section, name, where, cases, repeat, shuffle, asked)
+    elif kind == "reversals":
+        step = ReversalsStep(
+            name, where, cases, repeat, shuffle, asked,
+            count=section.integer("count", default=7, low=3, high=1000),
+            joints=tuple(section.texts("joints", default=())),
+        )  # fmt: skip
     else:
         within = section.section("within", optional=True)
         ranges = {} if within is None else {j: _range(within, j) for j in within.keys()}  # noqa: SIM118
