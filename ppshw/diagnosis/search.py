@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,31 +242,50 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
 
 def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """Each finding once more, given the others: a better form or name may take its place, and what the others explain
-    as well is dropped; until nothing changes."""
+    as well is dropped; until nothing changes. Of all sets on the way the one that explains most is left."""
+    if len(found) < 2:
+        return
+    most, chosen = _explained(space, tried, found), [replace(f) for f in found]
     for _ in range(ROUNDS):
-        if len(found) < 2:
-            return
         changed = False
         for f in list(found):
-            others = [g for g in found if g is not f]
-            take_up(space, tried, others)
+            take_up(space, tried, [g for g in found if g is not f])
             best, f.evidence = _best(tried)
             if f.evidence < LEAST_FURTHER:
                 found.remove(f)
-                changed = True
             elif best != f.best:
                 f.best, f.name, f.size = best, _name(tried, best), 0.0
-                changed = True
-        take_up(space, tried, found)
+            else:
+                continue
+            changed = True
+            take_up(space, tried, found)
+            total = _explained(space, tried, found)
+            if total > most:
+                most, chosen = total, [replace(f) for f in found]
         if not changed:
-            return
+            break
+    if [f.best for f in chosen] != [f.best for f in found]:
+        found[:] = chosen
+    take_up(space, tried, found)
 
 
 def _weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """Posterior weights of the names for every finding, given the others."""
+    """Posterior weights of the names for every finding, given the others.
+
+    A name that was preferred for what it explains with all its near forms, though another's bare form says more, is as
+    much ahead of that one as the two sets are apart.
+    """
+    whole = _explained(space, tried, found)
     for f in found:
-        take_up(space, tried, [g for g in found if g is not f])
-        evidence = _names(tried)[1]
+        others = [g for g in found if g is not f]
+        take_up(space, tried, others)
+        every, evidence = _names(tried)
+        top, own = int(np.argmax(evidence)), tried.names.index(f.name)
+        if top != own:
+            best = int(np.argmax(np.where(tried.name_of == top, every + tried.log_share, -np.inf)))
+            rival = Found(best, tried.names[top], math.nan, float(evidence[top]), first=f.first)
+            take_up(space, tried, [*others, rival])
+            evidence[own] = evidence[top] + whole - _explained(space, tried, [*others, rival])
         tempered = evidence / (1 + max(evidence.max(), 0.0) / TEMPER)
         weights = np.exp(tempered - logsumexp(tempered))
         f.weights = {tried.names[j]: float(weights[j]) for j in np.argsort(-weights)[:6]}
