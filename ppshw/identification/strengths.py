@@ -2,8 +2,8 @@
 
 All of it happens on the p × p normal equations; visits are not looked at. Given the others, the likelihood of one
 group's variance is a function of one number that can be written down (5.5), so that every group is moved towards its
-maximum instead of by a fixed point's small steps. Variances of the same kind of group (the shifts' first waves, say)
-are drawn together over the joints. docs/derivations.md §5.3.
+maximum instead of by a fixed point's small steps. Variances of the same kind of group (the shifts' first waves, say, or
+a link's turns by moments) are drawn together over joints and elements. docs/derivations.md §5.3.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Index = NDArray[np.int64]
 # Prior variances stay within these factors of where they start (as variances): from nothing to some 30 mm and 15 mrad.
 # Without the upper one, errors of parallel axes that cancel each other may grow to metres while noise is still unknown.
 SMALLEST, LARGEST = 1e-10, 1e3
-# Logarithms of one kind's variances scatter by this much over the joints (a factor of 3.5 in size), about a mean that
-# starts at exp(KIND) of the group's start and counts as half a joint there. Our judgement of machines.
+# Logarithms of one kind's variances scatter by this much over joints and elements (a factor of 3.5 in size) about a
+# mean that starts at exp(KIND) of the group's start and counts as half a group there. Our judgement of machines.
 ALIKE, KIND, KIND_COUNTS = 2.5, -3.0, 0.5
 # Factors that a variance is tried at in one step, and how much of the way is gone: all groups move at once, and two
 # that explain the same would swing. Less than the whole way also spares groups that matter once the noise is known.
