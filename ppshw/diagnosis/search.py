@@ -202,13 +202,17 @@ def _rms(space: Workspace, displacement: Array) -> float:
     return float(np.sqrt((displacement**2).sum() / max(int(space.recording.seen.sum()), 1)))
 
 
-def take_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """The workspace with exactly these findings, and with what else each of them may be like."""
+def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool = True) -> None:
+    """The workspace with exactly these findings, and with what else each of them may be like.
+
+    and_look  candidates are to be looked at beside them; False, which is quick, for what they explain together
+    """
     for f in found:
         if f.size == 0.0:
             _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
     _lay(space, tried, found)
-    tried.update()
+    if and_look:
+        tried.update()
 
 
 def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
@@ -258,7 +262,7 @@ def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
             else:
                 continue
             changed = True
-            take_up(space, tried, found)
+            take_up(space, tried, found, and_look=False)
             total = _explained(space, tried, found)
             if total > most:
                 most, chosen = total, [replace(f) for f in found]
@@ -284,7 +288,7 @@ def _weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         if top != own:
             best = int(np.argmax(np.where(tried.name_of == top, every + tried.log_share, -np.inf)))
             rival = Found(best, tried.names[top], math.nan, float(evidence[top]), first=f.first)
-            take_up(space, tried, [*others, rival])
+            take_up(space, tried, [*others, rival], and_look=False)
             evidence[own] = evidence[top] + whole - _explained(space, tried, [*others, rival])
         tempered = evidence / (1 + max(evidence.max(), 0.0) / TEMPER)
         weights = np.exp(tempered - logsumexp(tempered))
