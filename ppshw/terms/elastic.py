@@ -66,12 +66,13 @@ class Compliance:
         name, out = frame_names[self.frame], []
         for a, b in self.elements:
             element, kind = f"{COMPONENTS[a]},{WRENCH_COMPONENTS[b]}", element_kind(a, b)
-            start = START[kind] * (SKEW if skew(a, b) else 1.0)
+            scale = SKEW if skew(a, b) else 1.0
             group = f"compliance.{name}.{kind}{'-skew' if skew(a, b) else ''}.{element}"
             out += [
-                Parameter(f"{name}.C[{element}][{j}]", UNITS[kind], f"{group}.{band}", DECLINE ** max(j - 1, 0), start)
+                Parameter(f"{name}.C[{element}][{j}]", UNITS[kind], f"{group}.{band}",
+                          scale * DECLINE ** max(j - 1, 0), START[kind])
                 for j, band in enumerate(self.basis.bands)
-            ]
+            ]  # fmt: skip
         return out
 
     def regressors(self, situation: Situation, wrenches: Array) -> Array:

@@ -163,6 +163,6 @@ def test_a_symmetric_beam_along_an_axis_has_no_skew_elements(axis: Array) -> Non
 
 def test_elements_that_a_symmetric_beam_lacks_are_expected_smaller() -> None:
     found = {p.name: p for p in Compliance(1, BEAM, ALL_LOADS, Constant()).parameters(PPS.frame_names)}
-    assert found["lateral.C[tx,Mx][0]"].start == pytest.approx(0.2 * found["lateral.C[tx,My][0]"].start)
-    assert found["lateral.C[rx,My][0]"].start == pytest.approx(0.2 * found["lateral.C[rx,Mx][0]"].start)
+    assert found["lateral.C[tx,Mx][0]"].scale == pytest.approx(0.2 * found["lateral.C[tx,My][0]"].scale)
+    assert found["lateral.C[rx,My][0]"].scale == pytest.approx(0.2 * found["lateral.C[rx,Mx][0]"].scale)
     assert len({p.group for p in found.values()}) == 21
