@@ -437,9 +437,18 @@ def nameless(c: Context) -> list[Candidate]:
         for frame, comp in places[6:]:
             waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, RHYTHMS + 1)]
             out.append(_nameless(c, frame, comp, (f"q_{name}", "time"), tuple(waves)))
+    for frame in range(1, c.machine.n + 1):
+        for b in _loads_on(c, frame):
+            for place in _places(c):
+                for tau in (0.0, 1.0):
+                    args = {"frame": frame, "component": b, "place": place, "tau": tau}
+                    warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
+                    out.append(_nameless(c, frame, b, (LOADS[b], f"temp_{place}_C"), tuple(warm)))
     pairs = [(a, b) for i, a in enumerate(joints) for b in joints[i + 1 :]]
     others = ["time", *(s for s in singles if s.startswith(("temp_", "F", "M")))]
     pairs += [(a, b) for a in joints for b in others]
+    loads = [s for s in others if s in LOADS]
+    pairs += [(a, b) for a in loads for b in others if b not in LOADS]
     for first, second in pairs:
         for frame, comp in places[6:]:
             names = {"first": first, "second": second, "count": 3}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import Name, Tried, corrected_residual, p_value
+from ppshw.diagnosis.evidence import HANDICAP, Name, Tried, corrected_residual, p_value
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import LOADS as ALL_LOADS
 from ppshw.diagnosis.library import Candidate
@@ -95,17 +95,21 @@ def _starts(tried: Tried) -> list[tuple[int, float]]:
     order = [j for j in np.argsort(-names) if names[j] > max(LEAST_FIRST, LOUD * names.max())]
     effects: dict[str, int] = {}
     for j in order:
-        if tried.names[j][0] != "nameless":
-            effects.setdefault(tried.names[j][0], int(j))
+        effects.setdefault(tried.names[j][0], int(j))
+    chosen = list(effects.values())[:STARTS]
+    chosen += [j for j in effects.values() if j not in chosen and tried.names[j][0] == "nameless"]
     return [
         (int(np.argmax(np.where(tried.name_of == j, evidence + tried.log_share, -np.inf))), float(names[j]))
-        for j in list(effects.values())[:STARTS]
+        for j in chosen
     ]
 
 
 def _explained(space: Workspace, tried: Tried, found: list[Found]) -> float:
-    """Log evidence of all findings together, as taken up, less what each has to bring."""
-    return space.log_evidence() + sum(float(tried.log_share[f.best]) - LEAST_FURTHER for f in found)
+    """Log evidence of all findings together, as taken up, less what each has to bring and what counts against those
+    without a name."""
+    cost = sum(LEAST_FURTHER - float(tried.log_share[f.best]) for f in found)
+    cost += sum((1 / HANDICAP - 1) * f.first for f in found if f.name[0] == "nameless")
+    return space.log_evidence() - cost
 
 
 def _greedy(

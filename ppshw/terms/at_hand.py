@@ -29,8 +29,9 @@ Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
-                     "load_power", "load_side", "own_weight", "hanging", "pair", "body_weight", "sensor_error", "scale",
-                     "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
+                     "load_power", "load_side", "load_warm", "own_weight", "hanging", "pair", "body_weight",
+                     "sensor_error", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
+                     "instead"})  # fmt: skip
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged

@@ -238,6 +238,15 @@ def load_side_held(c: Context, frame: int, component: int, width: float) -> Arra
     return side_held(w, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
 
 
+def load_warm(c: Context, frame: int, component: int, place: str, tau: float, width: float = 0.0) -> Array:
+    """A component of the wrench on a frame, relative to its spread, or which side the joint falls to by it (width as in
+    `load_side`), times a temperature lagged by tau hours: what gives way differently as it warms."""
+    w = c.wrenches[:, frame, component]
+    spread = max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9)
+    pushed = load_side(c, frame, component, width) if width else w / spread
+    return np.asarray(pushed * temperature(c, place, tau))
+
+
 def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
     """A component of the wrench on a frame that former load changes have not brought yet; forms: see `load_memory`."""
     return np.asarray(_late(c, tau, form)[:, frame, component])
@@ -463,8 +472,8 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
-        settling, wave, load, load_q, load_power, load_side, load_side_held, creeping, own_weight, hanging, pair,
-        covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
+        settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, creeping, own_weight, hanging,
+        pair, covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
         unexplained, instead, model_shift,
     )
 }  # fmt: skip
