@@ -131,7 +131,7 @@ def _answer(
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)
-    unexplained = None if not left else _unexplained(space, tried, left[0])
+    unexplained = None if not left else _unexplained(space, tried, max(left, key=lambda f: f.evidence))
     carried = carry(space, tried, found)
     answer = {
         "visits": len(space.recording),

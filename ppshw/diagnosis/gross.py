@@ -143,7 +143,7 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
-        "p_value": p, "rms_mm": None, "weight": round(1 / (1 - np.e * p * np.log(p)), 4), "alternatives": [],
+        "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
         "sentence": f"the scatter depends on {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
     return Scatter(finding, np.exp(whole[:, k] * strength[k] / 2))

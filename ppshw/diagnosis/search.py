@@ -69,11 +69,13 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
     """Findings in the order of their strength; the workspace has their columns taken up at its end.
 
     Where several effects act, what explains most at first may be a compromise between them. So when one finding was not
-    enough, the search begins again with other names, and the findings that explain the recording best count.
+    enough, and it has a name, the search begins again with others, and the findings that explain the recording best
+    count.
     """
     starts = _starts(tried)
     found = _greedy(space, tried, None, rng, progress)
-    if len(found) > 1 or any(f.more for f in found):
+    named = any(f.name[0] != "nameless" for f in found)
+    if named and (len(found) > 1 or any(f.more for f in found)):
         best, chosen = _explained(space, tried, found), None
         for start in starts:
             if _name(tried, start[0]) in [f.name for f in found]:
