@@ -32,7 +32,7 @@ from ppshw import __version__
 from ppshw.diagnosis.evidence import Name
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.visibility import thinned
-from ppshw.diagnosis.workspace import CAUTION
+from ppshw.diagnosis.workspace import caution_of
 from ppshw.errors import CampaignError
 from ppshw.identification import identify
 from ppshw.machine import Machine
@@ -289,7 +289,7 @@ class _Laid:
         root = np.linalg.inv(np.linalg.cholesky(self.belief.noise.covariance(lin.levers, seen, np.ones(last))))
         rows = np.repeat(seen, 3, axis=1)
         root = root * (rows[:, :, None] & rows[:, None, :])
-        x = lin.design.reshape(last, rows.shape[1], -1) * (CAUTION * self.belief.strengths)
+        x = lin.design.reshape(last, rows.shape[1], -1) * (caution_of(self.belief.model) * self.belief.strengths)
         x, f = root @ x, root @ f
         return x.reshape(-1, x.shape[2]), f.reshape(-1, f.shape[2])
 

@@ -19,6 +19,7 @@ from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.start import to_base
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
+from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.terms.shapes import Context
@@ -142,6 +143,12 @@ class Workspace:
         return np.where(np.repeat(self.recording.seen, 3, axis=1), left, np.nan)
 
 
+def caution_of(model: Model) -> Array:
+    """(p,) how many times its learnt strength every parameter may take while names are sought."""
+    elastic = np.array([p.group.startswith("compliance.") for p in model.parameters()])
+    return np.where(elastic, CAUTION_ELASTIC, CAUTION)
+
+
 def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
     """Held-out visits of each fold: blocks of `length` visits in time, dealt in turn (shorter in short recordings)."""
     length = max(1, min(length, count // (3 * number)))
@@ -165,8 +172,7 @@ def prepare(
     design = lin.design.reshape(count, rows.shape[1], -1)[:, :, active] * rows[..., None]
     gap = np.where(seen[..., None], to_base(recording.points, base.measuring_in_base) - lin.positions, 0.0)
     data = gap.reshape(count, -1) + design @ base.theta[active]
-    elastic = np.array([p.group.startswith("compliance.") for p in model.parameters()])[active]
-    caution = np.where(elastic, CAUTION_ELASTIC, CAUTION)
+    caution = caution_of(model)[active]
     root = np.linalg.inv(np.linalg.cholesky(base.noise.covariance(lin.levers, seen, np.ones(count))))
     root = root * (rows[:, :, None] & rows[:, None, :])
     weights = np.ones(count)
