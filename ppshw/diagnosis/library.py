@@ -26,6 +26,8 @@ NAMES = (
     "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
     "missing_compliance", "target_moved", "unsettled",
 )  # fmt: skip
+# Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
+SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 
@@ -191,8 +193,7 @@ def _periodic(c: Context) -> Iterator[Candidate]:
     for k, name in _joints(c):
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
-        shortest = 0.004 if joint.prismatic else 2 * np.pi / 120
-        most = int(np.clip(2 * span / shortest, 80, 700))
+        most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), 80, MOST_PERIODS))
         periods = 2 * span / np.arange(6, most + 1)
         own = _own(c, k)
         for period in periods:
