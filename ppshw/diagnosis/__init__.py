@@ -168,14 +168,14 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
     candidate = tried.candidates[f.best]
     region = {}
     history = []
-    for name in candidate.covariates:
+    for name in candidate.covariates[:2]:
         said, how = column_of(name)
         values = named_column(space.context, said)
         region[said] = [float(np.nanmin(values)), float(np.nanmax(values))]
         history += [how] if how else []
     return {
         "covariates": list(region),
-        "history": ", ".join(history) or None,
+        "history": ", ".join(dict.fromkeys(history)) or None,
         "frame": candidate.frame,
         "component": candidate.component,
         "region": region,

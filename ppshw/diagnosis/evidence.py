@@ -87,9 +87,9 @@ class Tried:
         self.half, self.scale, self.plain, self._absorbing = _halves(space, columns)
         self.projected = self.half[:, : space.y.size]
         self.seen = np.einsum("kr,kr->k", self.half, self.half).astype(float)
-        # what the base model takes whole leaves rounding errors, not evidence
+        # what the base model takes whole leaves nothing but the stiffness of its prior, which is no evidence
         visible = self.seen > LEAST_SHARE * np.maximum(self.plain, 1e-30)
-        self.log_share = np.where([visible[i].all() for i in self.index], self.log_share, -np.inf)
+        self.log_share = np.where([visible[i].any() for i in self.index], self.log_share, -np.inf)
         self._info0 = [self._information(batch.columns) for batch in self._batches]
         self.update()
 

@@ -92,7 +92,7 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
     first = k.columns[0]
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
-        for tau in CREEP_H for form in ("exponential", "log", "first")
+        for tau in CREEP_H for form in ("exponential", "log", "first", "wrench", "total")
     ]  # fmt: skip
 
 

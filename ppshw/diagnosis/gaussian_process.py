@@ -119,7 +119,7 @@ def learn(space: Workspace, names: tuple[str, ...], repeatability: float) -> Cor
     places = [(f, c) for f in range(unit.shape[0]) for c in range(6) if np.isfinite(unit[f, c])]
     frame, component = max(places, key=lambda p: _one(model, phi, p[0], p[1], float(unit[p]))[0])
     tried = []
-    for lengths in itertools.product(LENGTHS, repeat=len(names)):
+    for lengths in itertools.product(LENGTHS if len(names) < 3 else LENGTHS[2:], repeat=len(names)):
         region = Region.over(names, fitted, np.array(lengths))
         found, size = _one(model, region.basis(values), frame, component, float(unit[frame, component]))
         tried.append((found, size, region))

@@ -16,6 +16,7 @@ from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
+LATE_H = (0.5, 1.0, 2.0)  # of columns that nothing is known about
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
@@ -329,17 +330,17 @@ def _creep(c: Context) -> Iterator[Candidate]:
     if len(set(c.recording.load)) < 2:
         return
     for tau in CREEP_H:
-        for form in ("exponential", "log"):
+        for form, half in (("exponential", 1.0), ("log", 1.0), ("wrench", 0.5), ("total", 0.5)):
             shape = {"tau_h": tau}
             whole = Column("frames", "creep", {"tau": tau, "form": form})
-            yield Candidate("creep", None, None, None, "since_load_change", (whole,), shape, 2.0)
+            yield Candidate("creep", None, None, None, "since_load_change", (whole,), shape, 2.0 * half)
             for frame, name, acting in _elastic_frames(c):
                 for b in acting:
                     args = {"frame": frame, "component": b, "tau": tau, "form": form}
                     column = Column("frame", "creeping", args, frame, b)
                     yield Candidate(
                         "creep", name, name, COMPONENTS[b], "since_load_change", (column,), shape,
-                        1.0 if b > 2 else 0.3,
+                        half if b > 2 else 0.3 * half,
                     )  # fmt: skip
 
 
@@ -401,21 +402,26 @@ def _target(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
 
 def nameless(c: Context) -> list[Candidate]:
     """Rivals without a name: the tip, the base or a joint in its own direction moves as a smooth function of one
-    column, the tip as one of two."""
+    column, the tip as one of two; tip and base as the product of any two."""
     joints = [f"q_{name}" for _, name in _joints(c)]
     r = c.recording
+    seen = [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
     singles = [*joints, "time", "since_load_change"]
     singles += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
     singles += [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
-    singles += [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all()]
+    singles += seen
     if np.isfinite(r.settle_s).all():
         singles.append("settle_s")
     if r.has_wrench:
         singles += [w for k, w in enumerate(LOADS) if np.ptp(r.wrench[:, k]) > 0]
+        singles += ["former_load"] if len(set(r.load)) > 2 else []
     places = [(0, comp) for comp in range(6)] + [(c.machine.n, comp) for comp in range(6)]
     out = []
-    for name in singles:
-        for frame, comp in places:
+    late = [f"late_{tau:g}_{k}" for k in seen for tau in LATE_H]
+    anywhere = {*seen, *late, "former_load"}  # of what no name knows no place is likelier than another
+    for name in singles + late:
+        frames = range(c.machine.n + 1) if name in anywhere else (0, c.machine.n)
+        for frame, comp in itertools.product(frames, range(6)):
             columns = tuple(
                 Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
             )
@@ -423,8 +429,8 @@ def nameless(c: Context) -> list[Candidate]:
     for k, joint in _joints(c):
         frame, comp = k + 1, _own(c, k)
         for name in singles:
-            if name in (f"q_{joint}", "time"):
-                continue  # the base model's own, and the waves below
+            if name in (f"q_{joint}", "time") or name in anywhere:
+                continue  # the base model's own, the waves below, and what is everywhere already
             columns = tuple(
                 Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
             )
@@ -459,6 +465,17 @@ def nameless(c: Context) -> list[Candidate]:
                 for b in range(3)
             )
             out.append(_nameless(c, frame, comp, (first, second), columns))
+    for first, second in itertools.combinations(singles, 2):
+        smooth = (first, second) in pairs or (second, first) in pairs
+        for frame, comp in places[:6] if smooth else places:
+            args = {"first": first, "second": second, "a": 0, "b": 0, "count": 1}
+            product = Column("frame", "covariate_pair", args, frame, comp)
+            out.append(_nameless(c, frame, comp, (first, second), (product,)))
+    for three in itertools.combinations([k for k, _ in _joints(c)], 3):
+        names = tuple(f"q_{c.machine.joint_names[k]}" for k in three)
+        for frame, comp in itertools.product((k + 1 for k in three), range(6)):
+            product = Column("frame", "product", {"joints": three}, frame, comp)
+            out.append(_nameless(c, frame, comp, names, (product,)))
     return [replace(k, share=1.0 / len(out)) for k in out]
 
 

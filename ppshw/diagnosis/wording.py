@@ -53,6 +53,11 @@ def column_of(covariate: str) -> tuple[str, str]:
         return covariate.removeprefix("previous_"), "of the pose before"
     if covariate.startswith("move_"):
         return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
+    if covariate.startswith("late_"):
+        tau, late = covariate.removeprefix("late_").split("_", 1)
+        return late, f"lagging by {tau} h"
+    if covariate == "former_load":
+        return "load", "of the load before"
     if covariate == "since_load_change":
         return "time", "since the load was changed"
     return covariate, ""

@@ -20,6 +20,7 @@ from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
+from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect
 from ppshw.terms.past import Moment, Past
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
-                     "load_power", "load_side", "load_warm", "own_weight", "hanging", "pair", "body_weight",
+                     "load_power", "load_side", "load_warm", "own_weight", "hanging", "pair", "product", "body_weight",
                      "sensor_error", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
                      "instead"})  # fmt: skip
 FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
@@ -183,7 +184,8 @@ class KnownEffects:
             moments = [replace(moments[0], payload=np.zeros(6), load="before"), *moments]
             put_on = max(time[-1] - 3600.0 * reference.get("hours", math.inf), time[0] - 3600.0 * UNSAID_H)
             time = np.concatenate([[min(2 * put_on - time[0], time[0])], time])
-            wrenches, chain, compliance = (np.concatenate([a[:1], a]) for a in (wrenches, chain, compliance))
+            chain, compliance = (np.concatenate([a[:1], a]) for a in (chain, compliance))
+            wrenches = np.concatenate([link_wrenches(machine, chain[:1], np.zeros((1, 6))), wrenches])
         empty = np.zeros((len(moments), 0))
         return Context(
             machine, self._as_recording(moments, time), empty, wrenches, empty, empty, chain, compliance,

@@ -79,6 +79,28 @@ def lagged(values: Array, hours: Array, tau: float) -> Array:
     return out
 
 
+def followed(values: Array, hours: Array, tau: float) -> Array:
+    """First-order lag with time constant tau [h] of values (N, …) that stand still but for a step halfway between two
+    visits, and had stood for long before the first."""
+    out = np.array(values, dtype=float)
+    for k in range(1, len(out)):
+        half = np.exp(-0.5 * max(0.0, hours[k] - hours[k - 1]) / tau)
+        middle = values[k - 1] + (out[k - 1] - values[k - 1]) * half
+        out[k] = values[k] + (middle - values[k]) * half
+    return out
+
+
+def former(values: Array, load: tuple[str, ...]) -> Array:
+    """(N,) the value at the last visit under the load before this one; under the first load its own first value."""
+    out = np.empty(len(values))
+    before = values[0]
+    for k in range(len(values)):
+        if k and load[k] != load[k - 1]:
+            before = values[k - 1]
+        out[k] = before
+    return out
+
+
 def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
     """What a rigid payload must be that the sensor felt so, one for all visits of a load label, by least squares:
 

@@ -6,7 +6,7 @@ once (N, n+1, 6); or on the measured points themselves (N, T, 3). docs/diagnosis
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,9 @@ from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.gaussian_process import Region
-from ppshw.terms.history import hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up
+from ppshw.terms.history import (
+    followed, former, hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up,
+)  # fmt: skip
 
 Array = NDArray[np.float64]
 QUANTILES = 41  # that the ranks of a column are kept by
@@ -248,7 +250,7 @@ def load_warm(c: Context, frame: int, component: int, place: str, tau: float, wi
 
 
 def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
-    """A component of the wrench on a frame that former load changes have not brought yet; forms: see `load_memory`."""
+    """A component of the wrench on a frame that has not come yet; forms: see `_late`."""
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
@@ -271,6 +273,11 @@ def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
     one_a, one_b = np.zeros(power_a + 1), np.zeros(power_b + 1)
     one_a[-1] = one_b[-1] = 1.0
     return np.asarray(basis.legval(c.u(a), one_a) * basis.legval(c.u(b), one_b))
+
+
+def product(c: Context, joints: Sequence[int]) -> Array:
+    """Positions of several joints, −1 … 1 each, multiplied."""
+    return np.asarray(np.prod([c.u(k) for k in joints], axis=0))
 
 
 def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
@@ -298,7 +305,9 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 
 
 def named_column(c: Context, name: str) -> Array:
-    """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, previous q, move length."""
+    """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
+    one: previous_q_<joint>, move_<joint> (from the visit before), late_<hours>_<column> (first-order lag), load and
+    former_load (mass of this payload and of the one before, kg)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
@@ -316,10 +325,16 @@ def named_column(c: Context, name: str) -> Array:
         return np.asarray(c.hours)
     if name == "since_load_change":
         return hours_since_change(r.load, c.hours)
+    if name in ("load", "former_load"):
+        mass = payloads(r.wrench, r.load, _gravity(c))[:, 0]
+        return mass if name == "load" else former(mass, r.load)
     if name == "settle_s":
         return np.asarray(r.settle_s)
     if name.startswith("cov_"):
         return np.asarray(r.covariates[name[4:]])
+    if name.startswith("late_"):
+        tau, late = name[5:].split("_", 1)
+        return lagged(named_column(c, late), c.hours, float(tau))
     return np.asarray(r.wrench[:, ("Fx", "Fy", "Fz", "Mx", "My", "Mz").index(name)])
 
 
@@ -330,11 +345,25 @@ def creep(c: Context, tau: float, form: str) -> Array:
 
 
 def _late(c: Context, tau: float, form: str) -> Array:
-    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
-    g = np.einsum("nji,j->ni", sensor[:, :3, :3], c.machine.gravity)
+    """(N, n+1, 6) of every link's wrench that it does not follow yet.
+
+    form  "wrench": of the payload's, "total": of the machine's own weight too: a first-order lag of the wrench on the link,
+          which every move changes; else of former changes of load alone, as they would act in the pose of now: see
+          `load_memory`
+    """
+    if form in ("wrench", "total"):
+        whole = c.wrenches - _own(c) if form == "wrench" else c.wrenches
+        return np.asarray(whole - followed(whole, c.hours, tau))
+    g = _gravity(c)
     held = load_memory(payloads(c.recording.wrench, c.recording.load, g), c.recording.load, c.hours, tau, form)
     wrench = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
     return link_wrenches(c.machine, c.chain, wrench) - _own(c)
+
+
+def _gravity(c: Context) -> Array:
+    """(N, 3) in the sensor frame [m/s²]."""
+    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
+    return np.asarray(np.einsum("nji,j->ni", sensor[:, :3, :3], c.machine.gravity))
 
 
 def _own(c: Context) -> Array:
@@ -473,7 +502,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     for f in (
         approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
         settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, creeping, own_weight, hanging,
-        pair, covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
+        pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
         unexplained, instead, model_shift,
     )
 }  # fmt: skip
