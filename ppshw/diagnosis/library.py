@@ -458,9 +458,9 @@ def nameless(c: Context) -> list[Candidate]:
     pairs += [(a, b) for a in loads for b in others if b not in LOADS]
     for first, second in pairs:
         for frame, comp in places[6:]:
-            names = {"first": first, "second": second, "count": 3}
+            pair = {"first": first, "second": second, "count": 3}
             columns = tuple(
-                Column("frame", "covariate_pair", {**names, "a": a, "b": b}, frame, comp)
+                Column("frame", "covariate_pair", {**pair, "a": a, "b": b}, frame, comp)
                 for a in range(3)
                 for b in range(3)
             )

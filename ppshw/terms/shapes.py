@@ -22,7 +22,16 @@ from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.gaussian_process import Region
 from ppshw.terms.history import (
-    followed, former, hours_since, hours_since_change, lagged, load_memory, payloads, side_held, slip, wind_up,
+    followed,
+    former,
+    hours_since,
+    hours_since_change,
+    lagged,
+    load_memory,
+    payloads,
+    side_held,
+    slip,
+    wind_up,
 )  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -347,8 +356,8 @@ def creep(c: Context, tau: float, form: str) -> Array:
 def _late(c: Context, tau: float, form: str) -> Array:
     """(N, n+1, 6) of every link's wrench that it does not follow yet.
 
-    form  "wrench": of the payload's, "total": of the machine's own weight too: a first-order lag of the wrench on the link,
-          which every move changes; else of former changes of load alone, as they would act in the pose of now: see
+    form  "wrench": of the payload's, "total": of the machine's own weight too, a first-order lag of the wrench on the
+          link, which every move changes; else of former changes of load alone, as they act in the pose of now: see
           `load_memory`
     """
     if form in ("wrench", "total"):

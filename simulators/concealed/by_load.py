@@ -150,10 +150,11 @@ def creep(scene: Scene, rng: np.random.Generator) -> Concealed:
     """A link goes on sagging after the load has changed, and recovers when it is gone.
 
     two exponentials  minutes and a good part of an hour;   logarithmic: as steel cables and glued joints do
+    viscous  dampers beside a part of the spring (Kelvin & Voigt): after every move that changes the moment, too
 
-    Loads superpose (Boltzmann): what has not come yet of each former change of load, in the pose of now.
+    The first two superpose loads (Boltzmann): what has not come yet of each former change of load, in the pose of now.
     """
-    form = str(rng.choice(["two exponentials", "logarithmic"]))
+    form = str(rng.choice(["two exponentials", "logarithmic", "viscous"]))
     fast, slow, share = rng.uniform(180, 600), rng.uniform(1200, 2700), rng.uniform(0.3, 0.7)
     start = rng.uniform(30, 120)
 
@@ -166,7 +167,22 @@ def creep(scene: Scene, rng: np.random.Generator) -> Concealed:
     k, part = _loaded(scene, rng, crossing=False)
     most = np.abs(scene.payload[:, k, part]).max()
 
+    def damped(s: Scene) -> Array:
+        moment, c = s.payload[:, k, part], s.campaign
+        moved = np.diff(c.time, prepend=c.time[0] - 400.0)
+        out = np.zeros(len(c))
+        for constant, part_of_it in ((fast, share), (slow, 1 - share)):
+            bent = 0.0
+            for v in range(len(c)):  # where it was until the axes are there, then the new moment
+                there = min(moved[v], c.settle[v] + 25.0)
+                bent += (moment[max(v - 1, 0)] - bent) * -np.expm1(-(moved[v] - there) / constant) if v else 0.0
+                bent += (moment[v] - bent) * -np.expm1(-there / constant)
+                out[v] += part_of_it * (moment[v] - bent)
+        return np.asarray(out / most)
+
     def shape(s: Scene) -> Array:
+        if form == "viscous":
+            return damped(s)
         c = s.campaign
         held = np.column_stack([c.mass, c.mass[:, None] * c.com])  # what a load is at rest: mass and first moment
         missing = np.zeros_like(held)

@@ -3,12 +3,13 @@
 Random poses; sweeps of one joint, up or down, some of them there and back, of any width; the reference pose again and
 again; a load at a time for 12 to 29 visits, one in five of them empty, their centres of mass on both sides of the
 sensor; 60 to 110 s a visit and some minutes more to change a load. The air swings, the first joint's rail follows it
-and warms up as it is driven. Numbers are our guesses at what a night at such a machine looks like.
+and warms up as it is driven; humidity and pressure of the air are recorded as well. Numbers are our guesses at what a
+night at such a machine looks like.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ class Campaign:
     approach     (N, n) −1, 0, 1
     time         (N,) [s] since the first motion;  settle (N,) [s]
     mass, com    (N,) [kg], (N, 3) in the sensor frame [m]
-    temperature  place → (N,) [°C]
+    temperature  place → (N,) [°C];  other: name → (N,) whatever else a site records
     """
 
     step: list[str]
@@ -44,13 +45,14 @@ class Campaign:
     mass: Array
     com: Array
     temperature: dict[str, Array]
+    other: dict[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.commanded)
 
 
 def draw_campaign(chain: Chain, visits: int, rng: np.random.Generator) -> Campaign:
-    pose_rng, load_rng, time_rng, heat_rng = rng.spawn(4)
+    pose_rng, load_rng, time_rng, heat_rng, air_rng = rng.spawn(5)
     step, commanded = _poses(chain, visits, pose_rng)
     home = np.clip(0.0, [j.lower for j in chain.joints], [j.upper for j in chain.joints])
     before = np.vstack([home, commanded[:-1]])
@@ -68,6 +70,7 @@ def draw_campaign(chain: Chain, visits: int, rng: np.random.Generator) -> Campai
         mass=mass,
         com=com,
         temperature=_temperatures(time, driven, heat_rng),
+        other=_air(time, air_rng),
     )
 
 
@@ -153,3 +156,14 @@ def _temperatures(time: Array, driven: Array, rng: np.random.Generator) -> dict[
         warmth = warmth * np.exp(-(now - last) / RAIL_LAG_S) + 0.4 * way
         warmed[k], last = warmth, now
     return {"air": air(time), "rail": air(time - RAIL_LAG_S) + warmed}
+
+
+def _air(time: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Relative humidity [%]: drier and damper over some hours, and with whoever opens the door. Pressure [hPa]: the
+    weather, which goes one way for most of a night."""
+    hours = time / 3600.0
+    damp = rng.uniform(3, 8) * np.cos(2 * np.pi * hours / rng.uniform(4, 9) + rng.uniform(0, 2 * np.pi))
+    doors = rng.uniform(0, hours[-1], 12)
+    puff = np.exp(-np.maximum(hours[:, None] - doors, 0.0) / 0.3) * (hours[:, None] >= doors)
+    weather = rng.normal() * 1.5 * hours / 10 + rng.uniform(0.2, 0.8) * np.sin(hours / rng.uniform(1, 2))
+    return {"humidity": 45 + damp + puff @ rng.uniform(1, 4, len(doors)), "pressure": 1009 + weather}

@@ -124,7 +124,7 @@ def _write_recordings(
     header = ["time", "step", "load"]
     header += [f"{kind}{name}" for kind in ("q_cmd_", "q_", "approach_") for name in joints]
     header += ["settle_s", *COMPONENTS, *(f"{t}_{axis}" for t in plant.targets for axis in "xyz")]
-    header += [f"temp_{place}_C" for place in warm]
+    header += [f"temp_{place}_C" for place in warm] + [f"cov_{name}" for name in c.other]
     began = datetime(2026, 3, 2, 5, 0, tzinfo=UTC) + timedelta(seconds=int(rng.integers(0, 14 * 86400)))
     for name, rows in (("recording.csv", range(fit)), ("held_out.csv", range(fit, len(c)))):
         if not rows:
@@ -145,7 +145,7 @@ def _row(
         when, c.step[v], c.load[v],
         *(f"{x:.8f}" for x in c.commanded[v]), *(f"{x:.8f}" for x in scene.q[v]), *(str(x) for x in c.approach[v]),
         f"{c.settle[v]:.2f}", *(f"{x:.4f}" for x in wrench), *(f"{x:.7f}" for x in points.ravel()),
-        *(f"{t[v]:.3f}" for t in warm.values()),
+        *(f"{t[v]:.3f}" for t in warm.values()), *(f"{x[v]:.2f}" for x in c.other.values()),
     ]  # fmt: skip
 
 

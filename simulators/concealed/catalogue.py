@@ -22,7 +22,10 @@ KNOWN: dict[str, Draw] = {
 }  # fmt: skip
 UNKNOWN: dict[str, Draw] = {
     f.__name__: f
-    for f in (unknown.counterbalance_memory, unknown.warm_load, unknown.air_conditioning, unknown.resonance)
+    for f in (
+        unknown.counterbalance_memory, unknown.warm_load, unknown.air_conditioning, unknown.resonance,
+        unknown.swelling, unknown.seat, unknown.twisted_rails,
+    )
 }
 # Pairs leave out what is noise: a scatter beside a bias is another question.
 PAIRED = tuple(name for name in KNOWN if name not in ("outliers", "unsettled", "missing_compliance"))

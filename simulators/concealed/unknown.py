@@ -72,6 +72,49 @@ def resonance(scene: Scene, rng: np.random.Generator) -> Concealed:
                       ("friction_hysteresis", "backlash"))  # fmt: skip
 
 
+def swelling(scene: Scene, rng: np.random.Generator) -> Concealed:
+    """A composite link takes up water and swells, in an hour or two."""
+    k, part = _frame(scene, rng, len(scene.chain.joints))
+    slow = rng.uniform(1500, 6000)
+
+    def shape(s: Scene) -> Array:
+        time, humid = s.campaign.time, s.campaign.other["humidity"]
+        taken = np.zeros(len(time))  # explicit Euler steps of at most a few hundredths of `slow`
+        for v in range(1, len(time)):
+            taken[v] = taken[v - 1] + (humid[v - 1] - humid[0] - taken[v - 1]) * (time[v] - time[v - 1]) / slow
+        return taken
+
+    return _concealed(scene, "swelling", f"humidity, {slow / 60:.0f} min behind", k, part, shape, ("cov_humidity",),
+                      ("thermal_growth",))  # fmt: skip
+
+
+def seat(scene: Scene, rng: np.random.Generator) -> Concealed:
+    """A bolted joint keeps a set from whatever was the load before this one."""
+    k, part = _frame(scene, rng, 3)
+
+    def shape(s: Scene) -> Array:
+        mass, kept = s.campaign.mass, np.zeros(len(s.campaign))
+        for v in range(1, len(mass)):
+            kept[v] = kept[v - 1] if s.campaign.load[v] == s.campaign.load[v - 1] else mass[v - 1]
+        return np.asarray(kept / mass.max())
+
+    return _concealed(scene, "seat", "mass of the load before", k, part, shape, ("load",), ("creep",))
+
+
+def twisted_rails(scene: Scene, rng: np.random.Generator) -> Concealed:
+    """Two axes that move together rack the carriage between them, and it stays so: the product of their last moves."""
+    k, part = _frame(scene, rng, 3)
+    other = (k + 1 + int(rng.integers(2))) % 3
+
+    def shape(s: Scene) -> Array:
+        moved = s.campaign.commanded - s.campaign.before
+        return np.asarray(np.prod([moved[:, j] / s.travel(j) for j in (k, other)], axis=0))
+
+    names = [scene.chain.joints[j].name for j in (k, other)]
+    return _concealed(scene, "twisted_rails", "product of the last moves of two joints", k, part, shape,
+                      ("previous_pose", *(f"q_{name}" for name in names)), ("cross_coupling",))  # fmt: skip
+
+
 def _frame(scene: Scene, rng: np.random.Generator, first: int, moments: bool = False) -> tuple[int, int]:
     """One of the first joints' frames and a component of it; `moments`: one that the payload loads."""
     k = int(rng.integers(first))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.terms.history import hours_since_change, lagged, load_memory, payloads, side_held, slip
+from ppshw.terms.history import followed, former, hours_since_change, lagged, load_memory, payloads, side_held, slip
 
 
 def test_a_slipping_spring_follows_small_moves_and_slips_on_large_ones() -> None:
@@ -67,3 +67,16 @@ def test_a_joint_with_play_stays_on_its_side_until_it_is_pushed_over() -> None:
 def test_the_time_since_a_load_change_starts_half_way_between_two_visits() -> None:
     found = hours_since_change(("a", "b", "b"), np.array([0.0, 1.0, 2.0]))
     assert np.allclose(found, [0.0, 0.5, 1.5])
+
+
+def test_a_link_follows_its_moment_with_a_step_halfway_between_two_visits() -> None:
+    hours, moment = np.array([0.0, 2.0, 4.0]), np.array([0.0, 1.0, 1.0])
+    # one time constant of 1 h in the new pose; then two more under the same moment
+    assert np.allclose(followed(moment, hours, 1.0), [0.0, 1 - np.exp(-1.0), 1 - np.exp(-3.0)])
+    both = followed(np.column_stack([moment, 2 * moment]), hours, 1.0)
+    assert np.allclose(both[:, 1], 2 * followed(moment, hours, 1.0))
+
+
+def test_the_load_before_is_that_of_the_last_label_whatever_hung_there_earlier() -> None:
+    mass = np.array([50.0, 50.0, 0.0, 120.0, 120.0, 50.0])
+    assert np.allclose(former(mass, ("a", "a", "empty", "b", "b", "a")), [50, 50, 50, 0, 0, 120])

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from ppshw.diagnosis.library import MOMENTS, library
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import MOMENTS, library, nameless
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, named_column
 from simulators.concealed.case import make_case
 
 
@@ -71,3 +72,36 @@ def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -
     added = few.whiten(columns) * prior
     both = [multivariate_normal(cov=c).logpdf(few.y) for c in (without + added @ added.T, without)]
     assert few.log_evidence() == pytest.approx(both[0] - both[1], abs=1e-5)
+
+
+def test_a_reflector_displaced_from_the_start_is_sought_though_one_direction_never_shows(space: Workspace) -> None:
+    """Out of the plane of three reflectors the end effector's own tilt is the same thing."""
+    always = [k for k in library(space.context) if k.effect == "target_moved" and not k.shape]
+    assert len(always) == 3
+    tried = Tried(space, always, 5e-5)
+    whole = tried.seen[np.concatenate(tried.index)] / tried.plain[np.concatenate(tried.index)] < 3e-4
+    assert whole.reshape(3, 3).sum(axis=1).tolist() == [1, 1, 1]
+    assert np.isfinite(tried.log_share).all()
+    field = 5e-5 * sum(tried.half[k].astype(float) for k in tried.index[1])
+    evidence = tried.evidence((tried.half @ field.astype(np.float32))[None].astype(float))[0]
+    assert np.argmax(evidence) == 1
+    assert evidence[1] > 20
+
+
+def test_what_has_no_name_may_lag_behind_a_column_or_be_the_product_of_any_two(space: Workspace) -> None:
+    c = space.context
+    offered = {k.covariates for k in nameless(c)}
+    assert ("cov_humidity",) in offered
+    assert ("late_1_cov_humidity",) in offered
+    assert ("former_load",) in offered
+    assert ("move_j1", "move_j3") in offered
+    assert ("q_j1", "q_j3", "q_j5") in offered
+    late, now = named_column(c, "late_1_cov_humidity"), named_column(c, "cov_humidity")
+    assert np.ptp(late) < 0.9 * np.ptp(now)
+    best = max(range(12), key=lambda k: np.corrcoef(late[40:], np.interp(c.hours[40:] - k / 6, c.hours, now))[0, 1])
+    assert 2 <= best <= 9  # 20 to 90 minutes behind
+    args = {"first": "move_j1", "second": "move_j3", "a": 0, "b": 0, "count": 1}
+    both = Column("frame", "covariate_pair", args, 6, 0)
+    one, other = named_column(c, "move_j1"), named_column(c, "move_j3")
+    by_hand = (one - one.mean()) * (other - other.mean()) / (one.std() * other.std())
+    assert np.allclose(both.value(c), by_hand)
