@@ -107,7 +107,8 @@ def _look(
     space: Workspace, without: frozenset[str], seed: int, moments: tuple[float, ...], tell: Callable[[int], None]
 ) -> tuple[Tried, list[Found]]:
     repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
-    tried = Tried(space, library(space.context, without, moments) + nameless(space.context), repeatability)
+    candidates = library(space.context, without, moments) + nameless(space.context)
+    tried = Tried(space, candidates, repeatability, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)

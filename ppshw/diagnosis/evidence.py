@@ -53,9 +53,14 @@ class Tried:
     half       (K, F·3T + p)  rows whose products are ZᵀV⁻¹Z, in single precision: there are some 15,000 of them
     projected  (K, F·3T)      their first part, P Z
     plain, seen  (K,)      ZᵀR⁻¹Z and ZᵀV⁻¹Z of every column
+    without      effects that were left out of the candidates
     """
 
-    def __init__(self, space: Workspace, candidates: Sequence[Candidate], repeatability: float) -> None:
+    def __init__(
+        self, space: Workspace, candidates: Sequence[Candidate], repeatability: float,
+        without: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.without = without
         self.candidates = list(candidates)
         self.repeatability = repeatability
         self.space = space

@@ -12,16 +12,24 @@ import numpy as np
 from ppshw.diagnosis.library import CREEP_H, LAGS_H, Candidate
 from ppshw.terms.shapes import Column, Context
 
+# Whose own form a column is that accompanies another's: where a class is left out, so are they.
+OF_CLASS = {
+    "approach": "backlash", "approach_q": "backlash",
+    "slipping": "friction_hysteresis", "winding": "friction_hysteresis",
+    "load_power": "nonlinear_stiffness", "load_side": "clearance", "load_side_held": "clearance",
+}  # fmt: skip
 STEPS = 12  # moments in the recording at which something may go on that began as a jump
 
 
-def near_forms(c: Context, candidate: Candidate) -> tuple[Column, ...]:
-    """Columns that a candidate's own may be accompanied by; none that it has itself."""
+def near_forms(c: Context, candidate: Candidate, without: frozenset[str] = frozenset()) -> tuple[Column, ...]:
+    """Columns that a candidate's own may be accompanied by; none that it has itself, none of effects left out."""
     maker = _MAKERS.get(candidate.effect)
     if maker is None:
         return ()
     have = set(map(repr, candidate.columns))
-    return tuple(column for column in maker(c, candidate) if repr(column) not in have)
+    return tuple(
+        k for k in maker(c, candidate) if repr(k) not in have and OF_CLASS.get(k.function) not in without
+    )
 
 
 def _on(candidate: Candidate, function: str, **args: object) -> Column:
@@ -85,7 +93,9 @@ def _by_load(c: Context, k: Candidate) -> list[Column]:
 
 def _coupling(c: Context, k: Candidate) -> list[Column]:
     a, b = k.columns[0].args["a"], k.columns[0].args["b"]
-    return [_on(k, "pair", a=a, power_a=i, b=b, power_b=j) for i in range(5) for j in range(1, 5) if i + j <= 6]
+    # up to the sixth order, and waves of one joint times the other's position
+    powers = [(i, j) for i in range(9) for j in range(1, 9) if i + j <= 6 or min(i, j) <= 1]
+    return [_on(k, "pair", a=a, power_a=i, b=b, power_b=j) for i, j in powers]
 
 
 def _creep(c: Context, k: Candidate) -> list[Column]:

@@ -163,7 +163,7 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
         "wrench_error": f"the force sensor's {candidate.covariate} is off in gain, cross-talk or zero ({size}).",
-        "creep": f"deflection goes on after a load change{'' if joint is None else f' at {joint}'} ({size}).",
+        "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero jumped by {abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'} after "
         f"{candidate.shape.get('time_h', 0):.2f} h ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
@@ -174,6 +174,11 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _change(candidate: Candidate) -> str:
+    by_moves = candidate.columns[0].args.get("form") in ("wrench", "total")
+    return "whatever changes the moment, moves too," if by_moves else "a load change"
 
 
 def _plainly(candidate: Candidate) -> str:

@@ -1,4 +1,4 @@
-"""What nobody has a name for, as a Gaussian process over one or two columns, where there were data and nowhere else.
+"""What nobody has a name for, as a Gaussian process over one to three columns, where there were data and nowhere else.
 
 A function f of the standardised columns x ∈ ℝᵈ with the Matérn-5/2 covariance k, unit variance, one length per column,
 is carried by its values at m sites Z that were visited (Quiñonero-Candela & Rasmussen 2005, subset of regressors):
@@ -37,7 +37,7 @@ def matern(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Region:
-    """Where one or two columns were sampled, and how fast a function of them may change.
+    """Where one to three columns were sampled, and how fast a function of them may change.
 
     names (d,) of the columns;  centre, spread, low, high, length (d,): in the columns' own units, lengths in spreads
     sites (m, d) standardised
