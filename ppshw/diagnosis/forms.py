@@ -123,6 +123,11 @@ def _target(c: Context, k: Candidate) -> list[Column]:
 
 def _wrench(c: Context, k: Candidate) -> list[Column]:
     args = k.columns[0].args
+    if args.get("time") == "cosine":
+        return [
+            Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": order})
+            for order in range(1, 9) for comp in range(6)
+        ]  # fmt: skip
     if "place" not in args:
         return []
     return [Column("frames", "sensor_error", {**args, "component": comp}) for comp in range(6)]

@@ -263,6 +263,7 @@ def _coupling(c: Context) -> Iterator[Candidate]:
                 for powers, share in (
                     (((1, 1),), 1.0), (((0, 1), (1, 1)), 0.5), (((0, 1), (0, 2)), 0.5),
                     (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
+                    (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),
                 ):  # fmt: skip
                     columns = tuple(
                         Column("frame", "pair", {"a": a, "power_a": i, "b": b, "power_b": j}, a + 1, comp)
@@ -302,6 +303,10 @@ def _wrench(c: Context) -> Iterator[Candidate]:
         yield Candidate(*where, (Column("frames", "sensor_error", {"component": comp}),))
         drifting = Column("frames", "sensor_error", {"component": comp, "time": "linear"})
         yield Candidate(*where, (drifting,))
+        waves = tuple(
+            Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j}) for j in range(1, 5)
+        )
+        yield Candidate("wrench_error", None, None, None, "time", waves, share=0.5)
         for source in range(6):
             args = {"component": comp, "source": source}
             yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)

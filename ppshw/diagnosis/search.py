@@ -38,6 +38,9 @@ OUTSIDE = 0.05
 # A rival without a name takes the place of a name when all is found if it says so many times more: in cases that the
 # search was mended on it never said more than 0.96 of what 53 right names did, and 1.08 to 2.2 of three neighbours'.
 DEMOTED = 1.05
+# Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
+# tilting joints, whose travel is short.
+SOFT, MAY_BE_PLAY = 8.0, 0.7
 PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
@@ -277,7 +280,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
             value = column.evaluate(space.context)
             columns.append(value)
             # what wanders does so with half the amplitude at twice the pace, like a random walk
-            pace = float(column.args["tau"]) if column.args.get("form") == "cosine" else 1.0
+            pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
             prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, value), 1e-30))
     space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
 
@@ -334,3 +337,19 @@ def _weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             weights = weights * (1 - OUTSIDE) + OUTSIDE * np.array([name[0] == "nameless" for name in tried.names])
         f.weights = {tried.names[j]: float(weights[j]) for j in np.argsort(-weights)[:6]}
     take_up(space, tried, found)
+    for f in found:
+        _soft_walls(space, tried, f)
+
+
+def _soft_walls(space: Workspace, tried: Tried, f: Found) -> None:
+    """A joint that loses a large part of its way after it turned back may as well have play between soft walls as
+    friction that winds it up: no form tells the two apart, only how much is lost, and that not surely."""
+    candidate = tried.candidates[f.best]
+    play = ("backlash", candidate.joint)
+    if candidate.effect != "friction_hysteresis" or play not in tried.names:
+        return
+    lost = 2.0 * abs(float(coefficients(space, candidate, f)[0][0]))
+    if candidate.shape["width"] < SOFT * lost:
+        f.weights[play] = max(f.weights.get(play, 0.0), MAY_BE_PLAY * f.weights[f.name])
+        total = sum(f.weights.values())
+        f.weights = {name: w / total for name, w in sorted(f.weights.items(), key=lambda item: -item[1])}

@@ -406,12 +406,15 @@ def body_weight(c: Context, joint: int, what: str) -> Array:
 def sensor_error(
     c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0
 ) -> Array:
-    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time, or
-    with a temperature (lagged by tau hours). component −1: all six, each by its own reading (gain)."""
+    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time (form
+    and tau of `clock`), or with a temperature (lagged by tau hours).
+
+    component  −1: all six, each by its own reading (gain)
+    """
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
     if time:
-        size = size * clock(c, time)
+        size = size * clock(c, time, tau or 1.0)
     if place:
         size = size * temperature(c, place, tau)
     wrench = np.zeros((count, 6))

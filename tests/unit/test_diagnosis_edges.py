@@ -112,7 +112,7 @@ def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Ca
         if rng.random() < 0.1:
             row[case.column("temp_air_C")] = ""
         row += ["" if rng.random() < 0.3 else f"{rng.normal():.3f}", f"{rng.normal():.3f}"]
-    case.rows[0] += ["cov_flow", "cov_pressure"]
+    case.rows[0] += ["cov_flow", "cov_oil"]
     answer = answered(case, tmp_path)
     assert answer["visits"] == VISITS - 1  # the one of which nothing was seen says nothing
     assert {"backlash", "drift"} <= effects(answer)

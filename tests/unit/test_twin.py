@@ -47,11 +47,13 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
-    """A positioner that the model describes fully, identified; one beam was lost."""
+    """A positioner that the model describes fully, identified; one beam was lost. Without the air's columns, which come
+    last: in so few visits they could as well be the time."""
     folder = tmp_path_factory.mktemp("twin")
     make_case(11, "pps", "null", 1.0, folder, folder / "sealed", visits=VISITS, fit=VISITS)
     file = folder / "recording.csv"
-    lines = file.read_text().splitlines()
+    lines = [line.rsplit(",", 2)[0] for line in file.read_text().splitlines()]
+    assert "cov_" not in lines[0]
     at = lines[0].split(",").index("P2_x")
     cells = lines[8].split(",")
     cells[at : at + 3] = ["", "", ""]
