@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.special import logsumexp
 from scipy.stats import gumbel_r
 
 from ppshw.diagnosis.library import Candidate
@@ -88,7 +87,11 @@ class Tried:
         self.names: list[Name] = list(dict.fromkeys((k.effect, k.joint) for k in candidates))
         position = {n: j for j, n in enumerate(self.names)}
         self.name_of = np.array([position[k.effect, k.joint] for k in candidates])
-        self._of_name = [np.flatnonzero(self.name_of == j) for j in range(len(self.names))]
+        self._sorted = np.argsort(self.name_of, kind="stable")
+        self._starts = np.searchsorted(self.name_of[self._sorted], np.arange(len(self.names)))
+        self._nameless = np.array([effect == "nameless" for effect, _ in self.names])
+        self._crossed: dict[str, Single] = {}
+        self._values: dict[str, Array] = {}
         self.half, self.scale, self.plain, self._absorbing = _halves(space, columns)
         self.projected = self.half[:, : space.y.size]
         self.seen = np.einsum("kr,kr->k", self.half, self.half).astype(float)
@@ -108,14 +111,30 @@ class Tried:
             info[at : at + step] = block @ np.swapaxes(block, 1, 2)
         return info
 
-    def update(self) -> None:
-        """Account for what the workspace has taken up now."""
+    def update(self, taken: Sequence[str] = ()) -> None:
+        """Account for what the workspace has taken up now.
+
+        taken  the columns' names, where a search comes back to them: what is known of a column is not worked out again
+        """
         space = self.space
-        self._cross = self._product(space.absorbed)  # (K, f)
+        if not taken:
+            self._cross = self._product(space.absorbed)  # (K, f)
+        else:
+            new = [k for k, name in enumerate(taken) if name not in self._crossed]
+            for k, product in zip(new, self._product(space.absorbed[:, new]).T, strict=True):
+                self._crossed[taken[k]] = product.astype(np.float32)
+            self._cross = np.stack([self._crossed[name] for name in taken], axis=1).astype(float)
         self._info = []
         for batch, info in zip(self._batches, self._info0, strict=True):
             w = self._cross[batch.columns]  # (C, k, f)
             self._info.append(info - w @ space.middle @ np.swapaxes(w, 1, 2))
+
+    def value(self, column: Column) -> Array:
+        """(N, 3T) what a column does to the reflectors per unit [m], worked out once."""
+        key = repr(column)
+        if key not in self._values:
+            self._values[key] = column.evaluate(self.space.context)
+        return self._values[key]
 
     # --- evidence ------------------------------------------------------------------------------------------------
     def evidence(self, scores: Array) -> Array:
@@ -128,10 +147,12 @@ class Tried:
             for amplitude in AMPLITUDES:
                 prior = (amplitude * self.repeatability) ** 2 / k
                 whole = np.eye(k) + prior * info
-                solved = np.linalg.solve(whole, prior * s)
-                logdet = np.linalg.slogdet(whole)[1]
+                solved = prior * s / whole if k == 1 else np.linalg.solve(whole, prior * s)
+                logdet = np.log(whole[:, 0, 0]) if k == 1 else np.linalg.slogdet(whole)[1]
                 parts.append(0.5 * np.einsum("ckd,ckd->cd", s, solved) - 0.5 * logdet[:, None])
-            out[:, batch.which] = (logsumexp(np.array(parts), axis=0) - np.log(len(AMPLITUDES))).T
+            most = np.maximum.reduce(parts)
+            mean = sum(np.exp(part - most) for part in parts) / len(AMPLITUDES)
+            out[:, batch.which] = (most + np.log(mean)).T
         return out
 
     def scores(self) -> Array:
@@ -147,13 +168,13 @@ class Tried:
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
-        weighted = evidence + self.log_share
-        out = np.full((len(evidence), len(self.names)), -np.inf)
-        for j, mine in enumerate(self._of_name):
-            out[:, j] = logsumexp(weighted[:, mine], axis=1)
-            if self.names[j][0] == "nameless":
-                out[:, j] *= np.where(out[:, j] > 0, HANDICAP, 1.0)
-        return out
+        weighted = (evidence + self.log_share)[:, self._sorted]
+        most = np.maximum.reduceat(weighted, self._starts, axis=1)
+        most = np.where(np.isfinite(most), most, 0.0)
+        away = weighted - np.repeat(most, np.diff(self._starts, append=weighted.shape[1]), axis=1)
+        with np.errstate(divide="ignore"):
+            out = most + np.log(np.add.reduceat(np.exp(away), self._starts, axis=1))
+        return np.where(self._nameless & (out > 0), HANDICAP * out, out)
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,).

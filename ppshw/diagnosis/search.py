@@ -252,7 +252,7 @@ def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool =
             _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
     _lay(space, tried, found)
     if and_look:
-        tried.update()
+        tried.update([repr(c) for f in found for c in (*tried.candidates[f.best].columns, *f.near)])
 
 
 def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
@@ -274,10 +274,10 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
     for f in found:
         f.at = len(columns)
         candidate = tried.candidates[f.best]
-        columns += [c.evaluate(space.context) for c in candidate.columns]
+        columns += [tried.value(c) for c in candidate.columns]
         prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
-            value = column.evaluate(space.context)
+            value = tried.value(column)
             columns.append(value)
             # what wanders does so with half the amplitude at twice the pace, like a random walk
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
