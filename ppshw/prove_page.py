@@ -62,6 +62,12 @@ def markdown(document: Json) -> str:
         f"| {r['from']:g} to {r['to']:g} | {r['mean']:.2f} | {percent(r['right'])} |"
         for r in document["weights"]
     ]
+    if document["removed"]:
+        lines += ["", "| left out | form | names given | unexplained | √λ | left |", "|" + "---|" * 6]
+    for r in document["removed"]:
+        cells = [r["effect"], r["form"], ", ".join(r["names"]) or "–", "yes" if r["unexplained"] else "no"]
+        cells += [_number(r["sqrt_lambda"], ".1f"), _number(r["sqrt_lambda_left"], ".1f")]
+        lines.append("| " + " | ".join(cells) + " |")
     lines += ["", *(f"Lost: case {name}, {why}" for name, why in document["lost"].items())]
     return "\n".join(lines) + "\n"
 

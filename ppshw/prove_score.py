@@ -37,6 +37,7 @@ from ppshw.kinematics import frames, point_jacobian, point_positions
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
+from ppshw.terms.effect import displacement
 
 Array = NDArray[np.float64]
 CLASSES = 35  # names that compete for a finding: the effects, times the joints they may sit in, roughly
@@ -77,7 +78,10 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
     told = [{k: v for k, v in e.items() if k != "field_nm"} for e in truth["effects"]]
     for e, strength in zip(told, strengths, strict=True):
         e.update(strength if e["effect"] not in NOISE_EFFECTS else dict.fromkeys(strength))
+        e["sqrt_lambda_left"] = None
     predictable = not any(e["effect"] in NOISE_EFFECTS for e in told)
+    if len(told) == 1 and predictable and calibration is not None and calibration.exists():
+        told[0]["sqrt_lambda_left"] = strength_left(machine, recording, base, fields[0], truth, calibration)
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)
@@ -206,6 +210,17 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
         "share_visible": strength / power if power > 0 else 0.0,
         "power": float(ncf.sf(critical, 1, freedom, strength)),
     }
+
+
+def strength_left(
+    machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, calibration: Path
+) -> float:  # fmt: skip
+    """√λ of what a diagnosis's calibration leaves of the true field, as in `bound`: below half power's 3.2 nobody
+    could have told its findings from the truth by this recording, whatever they are called."""
+    found = load_calibration(calibration, machine)
+    taken = displacement(found.effects, found.model, found.theta, recording, found.measuring_in_base, found.reference)
+    visits = field[: len(recording)] - taken if found.effects else field[: len(recording)]
+    return float(bound(machine, recording, base, visits, truth)["sqrt_lambda"])
 
 
 def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> _White:

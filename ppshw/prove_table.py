@@ -27,7 +27,7 @@ def summarise(scores: Sequence[Json]) -> Json:
                                       [bool(set(s["wrong"]) - {s["spec"]["without"]}) for s in removed])],
         "removed": [{"effect": s["spec"]["without"], "form": s["truth"][0]["form"], "names": s["wrong"],
                      "unexplained": s["answer"].get("unexplained") is not None,
-                     "sqrt_lambda": s["truth"][0]["sqrt_lambda"]} for s in removed],
+                     **{k: s["truth"][0].get(k) for k in ("sqrt_lambda", "sqrt_lambda_left")}} for s in removed],
         "effects": _by_effect(scores),
         "strengths": _by_strength(scores),
         "half_power": half_power(*points(scores)),
