@@ -357,7 +357,9 @@ def diagnose(a: argparse.Namespace) -> None:
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
     lines += [f"  {f['sentence']} [weight {f['weight']:.2f}, p {f['p_value']:.1g}]" for f in answer["findings"]]
     if answer["unexplained"] is not None:
-        lines.append(f"  unexplained structure over {' and '.join(answer['unexplained']['covariates'])}")
+        left = answer["unexplained"]
+        history = f" ({left['history']})" if left["history"] else ""
+        lines.append(f"  unexplained structure over {' and '.join(left['covariates'])}{history}")
     lines += [f"  {c['sentence']}" for c in answer["corrections"]]
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip

@@ -174,6 +174,7 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
         values = named_column(space.context, said)
         region[said] = [float(np.nanmin(values)), float(np.nanmax(values))]
         history += [how] if how else []
+    history += [f"times {name}" for name in candidate.covariates[2:]]
     return {
         "covariates": list(region),
         "history": ", ".join(dict.fromkeys(history)) or None,

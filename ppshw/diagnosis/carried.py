@@ -17,7 +17,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import Found
-from ppshw.diagnosis.wording import column_of
+from ppshw.diagnosis.wording import column_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, columns_at
@@ -166,7 +166,7 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
     return {
         "effect": "unexplained",
         "covariates": [column for column, _ in said],
-        "history": ", ".join(how for _, how in said if how) or None,
+        "history": ", ".join(dict.fromkeys(how for _, how in said if how)) or None,
         "frame": space.machine.frame_names[correction.frame],
         "components": [COMPONENTS[c] for c in correction.components],
         "length": dict(zip(left.names, length.tolist(), strict=True)),
@@ -174,13 +174,9 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
         "region": {n: [float(a), float(b)] for n, a, b in
                    zip(left.names, correction.region.low, correction.region.high, strict=True)},
         "log_evidence": correction.evidence,
-        "sentence": f"what depends on {_plainly(said)} is carried without a name, as "
+        "sentence": f"what depends on {listed(said)} is carried without a name, as "
         f"{in_words(correction.columns(), space.machine)}.",
     }  # fmt: skip
-
-
-def _plainly(said: list[tuple[str, str]]) -> str:
-    return " and ".join(f"{column} ({how})" if how else column for column, how in said)
 
 
 def held_out(space: Workspace, columns: Array, prior: Array) -> float:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, eigh, solve_triangular
 
+from ppshw.diagnosis.wording import listed
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import Machine
 from ppshw.terms import COMPONENTS
@@ -58,10 +59,8 @@ class Correction:
 def in_words(columns: tuple[Column, ...], machine: Machine) -> str:
     """What a correction is, beside what it depends on."""
     a = columns[0].args
-    over = " and ".join(
-        f"{name} (changing over {length * spread:.3g})"
-        for name, length, spread in zip(a["names"], a["length"], a["spread"], strict=True)
-    )
+    lengths = [f"changing over {length * spread:.3g}" for length, spread in zip(a["length"], a["spread"], strict=True)]
+    over = listed(list(zip(a["names"], lengths, strict=True)))
     moved = ", ".join(COMPONENTS[c] for c in a["components"])
     return (
         f"a Gaussian process of {over} that moves {machine.frame_names[a['frame']]} {moved}, only where the recording "

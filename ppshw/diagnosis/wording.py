@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -182,5 +183,10 @@ def _change(candidate: Candidate) -> str:
 
 
 def _plainly(candidate: Candidate) -> str:
-    said = [column_of(name) for name in candidate.covariates]
-    return " and ".join(f"{column} ({how})" if how else column for column, how in said)
+    return listed([column_of(name) for name in candidate.covariates])
+
+
+def listed(said: Sequence[tuple[str, str]]) -> str:
+    """Columns and their history as in `column_of`: "a, b (of the pose before) and c"."""
+    words = [f"{column} ({how})" if how else column for column, how in said]
+    return " and ".join(word for word in (", ".join(words[:-1]), words[-1]) if word)
