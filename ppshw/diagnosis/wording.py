@@ -189,4 +189,4 @@ def _plainly(candidate: Candidate) -> str:
 def listed(said: Sequence[tuple[str, str]]) -> str:
     """Columns and their history as in `column_of`: "a, b (of the pose before) and c"."""
     words = [f"{column} ({how})" if how else column for column, how in said]
-    return " and ".join(word for word in (", ".join(words[:-1]), words[-1]) if word)
+    return " and ".join(word for word in (", ".join(words[:-1]), *words[-1:]) if word)
