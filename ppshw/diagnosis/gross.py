@@ -108,8 +108,11 @@ class Scatter:
 
 
 def scatter_of(space: Workspace, seed: int) -> Scatter | None:
-    """Does the scatter depend on settling time, load or the length of the move? By random exchange of whole visits; the
-    weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001)."""
+    """Does the scatter grow with a short settling time, the load or the length of the move? By random exchange of whole
+    visits; the weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001).
+
+    The other way round nothing acts, but scatter that differs by pose looks so: sweeps are short moves in one place.
+    """
     residual = corrected_residual(space) * space.spread[space.fit, None]
     r = space.recording
     size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
@@ -118,7 +121,7 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     if np.isfinite(r.settle_s).all() and np.ptp(r.settle_s) > 0:
         for tau in (1.0, 3.0, 8.0):
             columns[f"settle_s exp(-t/{tau:g} s)"] = np.exp(-r.settle_s / tau)
-        columns["settle_s"] = r.settle_s
+        columns["settle_s"] = -r.settle_s
     if r.has_wrench and np.ptp(r.wrench, axis=0).max() > 0:
         columns["load"] = np.linalg.norm(r.wrench[:, :3], axis=1)
         columns["load squared"] = columns["load"] ** 2
@@ -132,18 +135,19 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     matrix = whole[space.fit]
     strength = matrix.T @ size
     rng = np.random.default_rng(seed)
-    null = np.array([np.abs(matrix.T @ rng.permutation(size)).max() for _ in range(PERMUTATIONS)])
-    k = int(np.argmax(np.abs(strength)))
-    p = (1 + int((null >= abs(strength[k])).sum())) / (PERMUTATIONS + 1)
+    null = np.array([(matrix.T @ rng.permutation(size)).max() for _ in range(PERMUTATIONS)])
+    k = int(np.argmax(strength))
+    p = (1 + int((null >= strength[k]).sum())) / (PERMUTATIONS + 1)
     if p > SCATTER:
         return None
     name = list(columns)[k].removesuffix(" squared").split(" exp")[0]
+    way = "falls" if name == "settle_s" else "grows"
     more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
     finding: dict[str, Any] = {
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
         "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
-        "sentence": f"the scatter depends on {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
+        "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
     return Scatter(finding, np.exp(whole[:, k] * strength[k] / 2))

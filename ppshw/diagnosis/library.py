@@ -29,6 +29,7 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
+LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 
@@ -194,7 +195,7 @@ def _periodic(c: Context) -> Iterator[Candidate]:
     for k, name in _joints(c):
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
-        most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), 80, MOST_PERIODS))
+        most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
         periods = 2 * span / np.arange(6, most + 1)
         own = _own(c, k)
         for period in periods:
@@ -446,7 +447,7 @@ def nameless(c: Context) -> list[Candidate]:
         waves = [Column("frame", "clock", {"form": "cosine", "tau": k}, frame, comp) for k in range(1, RHYTHMS + 1)]
         out.append(_nameless(c, frame, comp, ("time",), tuple(waves)))
     for k, name in _joints(c):
-        for frame, comp in places[6:]:
+        for frame, comp in places:
             waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, RHYTHMS + 1)]
             out.append(_nameless(c, frame, comp, (f"q_{name}", "time"), tuple(waves)))
     for frame in range(1, c.machine.n + 1):
