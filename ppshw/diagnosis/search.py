@@ -118,8 +118,7 @@ def _demote(space: Workspace, tried: Tried, found: list[Found]) -> None:
             own, rival = float(names[tried.names.index(f.name)]), float(names[freely])
             if cause in given_up or rival / HANDICAP > max(DEMOTED * own, own + LEAST_FURTHER):
                 given_up.add(cause)
-                inside = tried.name_of == freely
-                best = int(np.argmax(np.where(inside, evidence + tried.log_share, -np.inf)))
+                best = _strongest(tried, evidence, freely)
                 f.best, f.name, f.evidence, f.size, f.more = best, tried.names[freely], rival, 0.0, ()
         if not given_up:
             break
@@ -135,10 +134,7 @@ def _starts(tried: Tried) -> list[tuple[int, float]]:
         effects.setdefault(tried.names[j][0], int(j))
     chosen = list(effects.values())[:STARTS]
     chosen += [j for j in effects.values() if j not in chosen and tried.names[j][0] == "nameless"]
-    return [
-        (int(np.argmax(np.where(tried.name_of == j, evidence + tried.log_share, -np.inf))), float(names[j]))
-        for j in chosen
-    ]
+    return [(_strongest(tried, evidence, j), float(names[j])) for j in chosen]
 
 
 def _explained(space: Workspace, tried: Tried, found: list[Found]) -> float:
@@ -212,8 +208,12 @@ def _best(tried: Tried, known: Set[str] = frozenset()) -> tuple[int, float]:
         if tried.names[j][0] in known and names[j] > SAME_EFFECT * names[chosen]:
             chosen = int(j)
             break
-    inside = tried.name_of == chosen
-    return int(np.argmax(np.where(inside, evidence + tried.log_share, -np.inf))), float(names[chosen])
+    return _strongest(tried, evidence, chosen), float(names[chosen])
+
+
+def _strongest(tried: Tried, evidence: Array, name: int) -> int:
+    """The best candidate of the name at this index, for the evidence (C,) of all."""
+    return int(np.argmax(np.where(tried.name_of == name, evidence + tried.log_share, -np.inf)))
 
 
 def _names(tried: Tried) -> tuple[Array, Array]:
@@ -328,7 +328,7 @@ def _weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         every, evidence = _names(tried)
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:
-            best = int(np.argmax(np.where(tried.name_of == top, every + tried.log_share, -np.inf)))
+            best = _strongest(tried, every, top)
             rival = Found(best, tried.names[top], math.nan, float(evidence[top]), first=f.first)
             take_up(space, tried, [*others, rival], and_look=False)
             evidence[own] = evidence[top] + whole - _explained(space, tried, [*others, rival])

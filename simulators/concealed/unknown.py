@@ -79,7 +79,7 @@ def swelling(scene: Scene, rng: np.random.Generator) -> Concealed:
 
     def shape(s: Scene) -> Array:
         time, humid = s.campaign.time, s.campaign.other["humidity"]
-        taken = np.zeros(len(time))  # explicit Euler steps of at most a few hundredths of `slow`
+        taken = np.zeros(len(time))  # explicit Euler, in steps of a quarter of `slow` at most
         for v in range(1, len(time)):
             taken[v] = taken[v - 1] + (humid[v - 1] - humid[0] - taken[v - 1]) * (time[v] - time[v - 1]) / slow
         return taken

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ppshw.diagnosis.evidence import Tried
@@ -105,3 +106,24 @@ def test_what_has_no_name_may_lag_behind_a_column_or_be_the_product_of_any_two(s
     one, other = named_column(c, "move_j1"), named_column(c, "move_j3")
     by_hand = (one - one.mean()) * (other - other.mean()) / (one.std() * other.std())
     assert np.allclose(both.value(c), by_hand)
+
+
+def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_same(space: Workspace) -> None:
+    c = space.context
+    some = [k for k in library(c) if k.effect in ("backlash", "target_moved", "tracker_scale")] + nameless(c)[::300]
+    tried = Tried(space, some, 5e-5)
+    taken = next(k for k in some if k.effect == "backlash").columns + some[-1].columns
+    values = np.stack([tried.value(k) for k in taken], axis=2)
+    space.take_up(values, np.full(len(taken), 1e-4))
+    for _ in range(2):  # the second time nothing is worked out again
+        tried.update([repr(k) for k in taken])
+    evidence = tried.evidence(tried.scores()[None])
+    tried.update()
+    afresh = tried.evidence(tried.scores()[None])
+    space.forget()
+    assert np.allclose(evidence, afresh, rtol=1e-4, atol=1e-3)
+    said = tried.by_name(evidence)[0]
+    for j, name in enumerate(tried.names):
+        mine = tried.name_of == j
+        by_hand = logsumexp(evidence[0, mine] + tried.log_share[mine])
+        assert said[j] == pytest.approx(by_hand * (0.7 if name[0] == "nameless" and by_hand > 0 else 1.0))
