@@ -33,7 +33,8 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.figures import flow, number, remarks, table
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.library import library, nameless
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.visibility import Sight, across, directions, displaced, evidence_of, least, sights
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.kinematics import frames, point_jacobian, point_positions

@@ -80,18 +80,18 @@ def _bars(scores: Sequence[Json]) -> list[Json]:
     ]
     for size, wanted in ((0.5, 0.65), (1.0, 0.85), (2.0, 0.95)):
         bars.append(_bar(f"effect of {size:g} × repeatability: right name", "at least", wanted,
-                         [s["named"][0] for s in single(scores, size)]))  # fmt: skip
+                         [s["named"][0] for s in single(scores, size)], _bound(single(scores, size))))  # fmt: skip
     bars += [
         _bar("effect of 1 × repeatability: right joint when named", "at least", 0.95,
              [s["joint_right"][0] for s in single(scores, 1.0) if s["named"][0]]),
-        _bar("pair, 1 × each: both named", "at least", 0.75, [all(s["named"]) for s in pairs]),
+        _bar("pair, 1 × each: both named", "at least", 0.75, [all(s["named"]) for s in pairs], _bound(pairs)),
         _bar("outside the catalogue, 1 ×: unexplained, or a fair neighbour", "at least", 0.85,
              [s["unknown_ok"] for s in strangers]),
         _bar("outside the catalogue, 1 ×: located", "at least", 0.80, [s["located"][0] for s in strangers]),
         _bar("√λ ≥ 6: detected", "at least", 0.98, [s["detected"] for s in strong]),
         _bar("√λ ≥ 6: named within its alias set", "at least", 0.95, [s["in_aliases"][0] for s in strong]),
         _bar("√λ ≥ 6: wrong name", "at most", 0.02, [bool(s["wrong"]) for s in strong]),
-        _bar("√λ 5–6: detected", "at least", 0.93, [s["detected"] for s in fair]),
+        _bar("√λ 5–6: detected", "at least", 0.93, [s["detected"] for s in fair], _bound(fair)),
     ]  # fmt: skip
     half = half_power(*points(scores))
     met = "open" if half is None else "yes" if half <= 3.8 else "no"
@@ -129,17 +129,26 @@ def _number_bars(scores: Sequence[Json]) -> list[Json]:
     return out
 
 
-def _bar(what: str, way: str, wanted: float, hits: Sequence[bool]) -> Json:
+def _bound(scores: Sequence[Json]) -> float | None:
+    """The share that somebody would find who knew every form beforehand: the bound's power, of all effects of a case
+    together; scatter, which has no such bound, counts as found."""
+    every = [np.prod([1.0 if e["power"] is None else e["power"] for e in s["truth"]]) for s in scores]
+    return float(np.mean(every)) if every else None
+
+
+def _bar(what: str, way: str, wanted: float, hits: Sequence[bool], bound: float | None = None) -> Json:
     found = share(hits)
     if not found["of"]:
         return {"what": what, "wanted": f"{way} {100 * wanted:g} %", "met": "open", **found, "text": "no case"}
     met = found["share"] >= wanted if way == "at least" else found["share"] <= wanted
-    text = f"{percent(found)} (wanted {way} {100 * wanted:g} %)"
+    most = "" if bound is None else f"; the bound {100 * bound:.0f} %"
+    text = f"{percent(found)} (wanted {way} {100 * wanted:g} %{most})"
     return {
         "what": what,
         "wanted": f"{way} {100 * wanted:g} %",
         "met": "yes" if met else "no",
         **found,
+        "bound": bound,
         "text": text,
     }
 

@@ -14,7 +14,8 @@ from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
-from ppshw.diagnosis.library import Candidate, library, nameless
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import column_of, finding
@@ -176,7 +177,7 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
         history += [how] if how else []
     history += [f"times {name}" for name in candidate.covariates[2:]]
     return {
-        "covariates": list(region),
+        "covariates": list(region) or [candidate.covariate],  # what is no column: a reflector, the distance
         "history": ", ".join(dict.fromkeys(history)) or None,
         "frame": candidate.frame,
         "component": candidate.component,

@@ -103,6 +103,8 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
     for f in sorted(found, key=lambda f: f.name[0] != "nameless"):  # a finding of its own before another's shadow
         candidate = tried.candidates[f.best]
         if candidate.effect == "nameless":
+            if not candidate.covariates:
+                continue  # nothing to be a function of
             add(f, candidate.covariates, _columns_of(f, tried))
             continue
         for k, column in enumerate(f.near, start=f.at + len(candidate.columns)):

@@ -16,11 +16,9 @@ from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
-LATE_H = (0.5, 1.0, 2.0)  # of columns that nothing is known about
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
-RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (
     "backlash", "friction_hysteresis", "thermal_growth", "drift", "tracker_scale", "periodic_transmission",
@@ -71,26 +69,26 @@ def library(
     return [replace(k, share=k.share / total[k.effect]) for k in found]
 
 
-def _own(c: Context, k: int) -> int:
+def own_component(c: Context, k: int) -> int:
     axis = np.abs(c.machine.joints[k].axis)
     return int(np.argmax(axis)) + (0 if c.machine.joints[k].prismatic else 3)
 
 
-def _joints(c: Context) -> Iterator[tuple[int, str]]:
+def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
     for k, name in enumerate(c.machine.joint_names):
         if np.ptp(c.recording.q[:, k]) > 0:
             yield k, name
 
 
 def _shares(c: Context, k: int) -> list[tuple[int, float]]:
-    own = _own(c, k)
+    own = own_component(c, k)
     return [(comp, OWN if comp == own else (1 - OWN) / 5) for comp in range(6)]
 
 
 def _backlash(c: Context) -> Iterator[Candidate]:
     if not c.recording.has_approach:
         return
-    for k, name in _joints(c):
+    for k, name in moving_joints(c):
         if len(np.unique(c.recording.approach[:, k])) < 2:
             continue
         for comp, share in _shares(c, k):
@@ -105,7 +103,7 @@ def _backlash(c: Context) -> Iterator[Candidate]:
 
 
 def _friction(c: Context) -> Iterator[Candidate]:
-    for k, name in _joints(c):
+    for k, name in moving_joints(c):
         span = float(np.ptp(c.recording.q[:, k]))
         for width in span * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3]):
             for comp, share in _shares(c, k):
@@ -124,11 +122,11 @@ def _friction(c: Context) -> Iterator[Candidate]:
 
 
 def _thermal(c: Context) -> Iterator[Candidate]:
-    for place in _places(c):
+    for place in temperature_places(c):
         for tau in LAGS_H:
             args = {"place": place, "tau": tau}
-            for k, name in _joints(c):
-                own = _own(c, k)
+            for k, name in moving_joints(c):
+                own = own_component(c, k)
                 along = Column("frames", "link_growth", {**args, "joint": k})
                 if np.any(along.value(c)):
                     yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", (along,), {"lag_h": tau})
@@ -182,7 +180,7 @@ def _moments(c: Context, most: int) -> list[float]:
 def _tracker_scale(c: Context) -> Iterator[Candidate]:
     constant = Column("points", "scale", {})
     yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
-    for place in _places(c):
+    for place in temperature_places(c):
         grows = Column("points", "scale", {"place": place})
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5)
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5)
@@ -192,12 +190,12 @@ def _tracker_scale(c: Context) -> Iterator[Candidate]:
 
 
 def _periodic(c: Context) -> Iterator[Candidate]:
-    for k, name in _joints(c):
+    for k, name in moving_joints(c):
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
         periods = 2 * span / np.arange(6, most + 1)
-        own = _own(c, k)
+        own = own_component(c, k)
         for period in periods:
             args = {"joint": k, "period": float(period)}
             pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, own) for p in ("sin", "cos"))
@@ -207,7 +205,7 @@ def _periodic(c: Context) -> Iterator[Candidate]:
             )  # fmt: skip
 
 
-def _loads_on(c: Context, frame: int) -> list[int]:
+def loads_on(c: Context, frame: int) -> list[int]:
     """Wrench components that really vary on a frame: a constant load says nothing."""
     w = c.wrenches[:, frame]
     size = np.abs(w).max(axis=0)
@@ -218,7 +216,7 @@ def _loads_on(c: Context, frame: int) -> list[int]:
 def _elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
     for k, joint in enumerate(c.machine.joints):
         if joint.elastic is not None:
-            yield k + 1, joint.name, [b for b in joint.elastic.load_indices if b in _loads_on(c, k + 1)]
+            yield k + 1, joint.name, [b for b in joint.elastic.load_indices if b in loads_on(c, k + 1)]
 
 
 def _nonlinear(c: Context) -> Iterator[Candidate]:
@@ -237,7 +235,7 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
 def _clearance(c: Context) -> Iterator[Candidate]:
     for frame in range(1, c.machine.n + 1):
         name = c.machine.joint_names[frame - 1]
-        for b in _loads_on(c, frame):
+        for b in loads_on(c, frame):
             w = c.wrenches[:, frame, b]
             if min((w > 0).mean(), (w < 0).mean()) < 0.03:
                 continue
@@ -256,8 +254,8 @@ def _clearance(c: Context) -> Iterator[Candidate]:
 
 
 def _coupling(c: Context) -> Iterator[Candidate]:
-    for a, name in _joints(c):
-        for b, other in _joints(c):
+    for a, name in moving_joints(c):
+        for b, other in moving_joints(c):
             if a == b:
                 continue
             for comp in range(6):
@@ -277,7 +275,7 @@ def _coupling(c: Context) -> Iterator[Candidate]:
 
 
 def _moving_weight(c: Context) -> Iterator[Candidate]:
-    for k, name in _joints(c):
+    for k, name in moving_joints(c):
         mass = Column("frames", "body_weight", {"joint": k, "what": "mass"})
         yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass,))
         for axis in "xyz":
@@ -316,7 +314,7 @@ def _wrench(c: Context) -> Iterator[Candidate]:
     for source in range(3):
         leak = tuple(Column("frames", "sensor_error", {"component": m, "source": source}) for m in (3, 4, 5))
         yield Candidate("wrench_error", None, None, None, LOADS[source], leak)
-    for place in _places(c):
+    for place in temperature_places(c):
         for tau in LAGS_H:
             every = tuple(
                 Column("frames", "sensor_error", {"component": comp, "place": place, "tau": tau}) for comp in range(6)
@@ -327,7 +325,7 @@ def _wrench(c: Context) -> Iterator[Candidate]:
                 yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
 
 
-def _places(c: Context) -> list[str]:
+def temperature_places(c: Context) -> list[str]:
     """Temperatures without gaps that change at all."""
     return [p for p, t in c.recording.temperatures.items() if np.isfinite(t).all() and np.ptp(t) >= 1e-3]
 
@@ -351,8 +349,8 @@ def _creep(c: Context) -> Iterator[Candidate]:
 
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:
-    for k, name in _joints(c):
-        own = _own(c, k)
+    for k, name in moving_joints(c):
+        own = own_component(c, k)
         where = ("zero_shift", name, name, COMPONENTS[own], "time")
 
         def step(moment: float, k: int = k, own: int = own) -> Column:
@@ -375,7 +373,7 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
         joint = c.machine.joints[frame - 1] if frame else None
         name = None if joint is None else joint.name
         known = set(joint.elastic.load_indices) if joint is not None and joint.elastic is not None else set()
-        for b in _loads_on(c, frame):
+        for b in loads_on(c, frame):
             for comp in range(6):
                 where = ("missing_compliance", name, name or "base", COMPONENTS[comp], LOADS[b])
                 share = 1.0 if comp == b else 0.2
@@ -386,7 +384,7 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
                     args = {"frame": frame, "component": b, "joint": frame - 1}
                     grows = Column("frame", "load_q", args, frame, comp)
                     yield Candidate(*where, (grows,), {}, 0.3 * share)
-        acting = [b for b in _loads_on(c, frame) if b not in known]
+        acting = [b for b in loads_on(c, frame) if b not in known]
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
             yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)
@@ -404,88 +402,3 @@ def _target(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             yield Candidate(
                 "target_moved", None, None, None, name, columns, shape, 1.0 if moment < 0 else 1.0 / len(moments)
             )
-
-
-def nameless(c: Context) -> list[Candidate]:
-    """Rivals without a name: the tip, the base or a joint in its own direction moves as a smooth function of one
-    column, the tip as one of two; tip and base as the product of any two."""
-    joints = [f"q_{name}" for _, name in _joints(c)]
-    r = c.recording
-    seen = [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
-    singles = [*joints, "time", "since_load_change"]
-    singles += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
-    singles += [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
-    singles += seen
-    if np.isfinite(r.settle_s).all():
-        singles.append("settle_s")
-    if r.has_wrench:
-        singles += [w for k, w in enumerate(LOADS) if np.ptp(r.wrench[:, k]) > 0]
-        singles += ["former_load"] if len(set(r.load)) > 2 else []
-    places = [(0, comp) for comp in range(6)] + [(c.machine.n, comp) for comp in range(6)]
-    out = []
-    late = [f"late_{tau:g}_{k}" for k in seen for tau in LATE_H]
-    anywhere = {*seen, *late, "former_load"}  # of what no name knows no place is likelier than another
-    for name in singles + late:
-        frames = range(c.machine.n + 1) if name in anywhere else (0, c.machine.n)
-        for frame, comp in itertools.product(frames, range(6)):
-            columns = tuple(
-                Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
-            )
-            out.append(_nameless(c, frame, comp, (name,), columns))
-    for k, joint in _joints(c):
-        frame, comp = k + 1, _own(c, k)
-        for name in singles:
-            if name in (f"q_{joint}", "time") or name in anywhere:
-                continue  # the base model's own, the waves below, and what is everywhere already
-            columns = tuple(
-                Column("frame", "covariate", {"name": name, "knot": j, "count": 5}, frame, comp) for j in range(5)
-            )
-            out.append(_nameless(c, frame, comp, (f"q_{joint}", name), columns))
-        waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in range(1, RHYTHMS + 1)]
-        out.append(_nameless(c, frame, comp, (f"q_{joint}", "time"), tuple(waves)))
-    for frame, comp in places:
-        waves = [Column("frame", "clock", {"form": "cosine", "tau": k}, frame, comp) for k in range(1, RHYTHMS + 1)]
-        out.append(_nameless(c, frame, comp, ("time",), tuple(waves)))
-    for k, name in _joints(c):
-        for frame, comp in places:
-            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, RHYTHMS + 1)]
-            out.append(_nameless(c, frame, comp, (f"q_{name}", "time"), tuple(waves)))
-    for frame in range(1, c.machine.n + 1):
-        for b in _loads_on(c, frame):
-            for place in _places(c):
-                for tau in (0.0, 1.0):
-                    args = {"frame": frame, "component": b, "place": place, "tau": tau}
-                    warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
-                    out.append(_nameless(c, frame, b, (LOADS[b], f"temp_{place}_C"), tuple(warm)))
-    pairs = [(a, b) for i, a in enumerate(joints) for b in joints[i + 1 :]]
-    others = ["time", *(s for s in singles if s.startswith(("temp_", "F", "M")))]
-    pairs += [(a, b) for a in joints for b in others]
-    loads = [s for s in others if s in LOADS]
-    pairs += [(a, b) for a in loads for b in others if b not in LOADS]
-    for first, second in pairs:
-        for frame, comp in places[6:]:
-            pair = {"first": first, "second": second, "count": 3}
-            columns = tuple(
-                Column("frame", "covariate_pair", {**pair, "a": a, "b": b}, frame, comp)
-                for a in range(3)
-                for b in range(3)
-            )
-            out.append(_nameless(c, frame, comp, (first, second), columns))
-    for first, second in itertools.combinations(singles, 2):
-        smooth = (first, second) in pairs or (second, first) in pairs
-        for frame, comp in places[:6] if smooth else places:
-            args = {"first": first, "second": second, "a": 0, "b": 0, "count": 1}
-            product = Column("frame", "covariate_pair", args, frame, comp)
-            out.append(_nameless(c, frame, comp, (first, second), (product,)))
-    for three in itertools.combinations([k for k, _ in _joints(c)], 3):
-        names = tuple(f"q_{c.machine.joint_names[k]}" for k in three)
-        for frame, comp in itertools.product((k + 1 for k in three), range(6)):
-            product = Column("frame", "product", {"joints": three}, frame, comp)
-            out.append(_nameless(c, frame, comp, names, (product,)))
-    return [replace(k, share=1.0 / len(out)) for k in out]
-
-
-def _nameless(c: Context, frame: int, comp: int, names: tuple[str, ...], columns: tuple[Column, ...]) -> Candidate:
-    return Candidate(
-        "nameless", None, c.machine.frame_names[frame], COMPONENTS[comp], " × ".join(names), columns, covariates=names
-    )

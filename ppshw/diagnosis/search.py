@@ -35,10 +35,9 @@ TEMPER = 150.0
 # However much a name is ahead of all others, what acts may be something that looks like it and has no name here: of 56
 # names that were given more than 0.95 in a deck of sealed cases (seed 9) six were wrong.
 OUTSIDE = 0.05
-# A rival without a name takes the place of a name when all is found if it says so many times more: in cases that the
-# search was mended on it never said more than 1.1 of what 54 right names did (creep against rhythms in time), and 1.08,
-# 1.28 and 2.2 of three neighbours'.
-DEMOTED = 1.2
+# A rival without a name takes the place of a name when all is found if it says so much more than the name with all that
+# it may be like: e³ = 20 to 1.
+GIVEN_UP = 3.0
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
 # tilting joints, whose travel is short.
 SOFT, MAY_BE_PLAY = 8.0, 0.7
@@ -97,14 +96,14 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
             take_up(space, tried, found)
         else:
             found = _greedy(space, tried, chosen, rng, progress)
-    _demote(space, tried, found)
+    _give_up(space, tried, found)
     _weigh(space, tried, found)
     return found
 
 
-def _demote(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """A name stands while no rival without one says more in its place: real forms are neighbours of the library's, and
-    what fits better by any smooth function than by the name's own is something else. What bears the same name for the
+def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    """A name stands while no rival without one says more in its place, whichever says more of the name's bare form and
+    all its near forms: what fits better by any smooth function is something else. What bears the same name for the
     same cause elsewhere goes with it."""
     given_up: set[tuple[str, str]] = set()
     freely = tried.names.index(("nameless", None))
@@ -113,16 +112,19 @@ def _demote(space: Workspace, tried: Tried, found: list[Found]) -> None:
             cause = f.name[0], tried.candidates[f.best].covariate
             if f.name[0] == "nameless":
                 continue
+            whole = space.log_evidence()
             take_up(space, tried, [g for g in found if g is not f])
             evidence, names = _names(tried)
-            own, rival = float(names[tried.names.index(f.name)]), float(names[freely])
-            if cause in given_up or rival / HANDICAP > max(DEMOTED * own, own + LEAST_FURTHER):
+            own = max(float(names[tried.names.index(f.name)]), whole - space.log_evidence())
+            rival = float(names[freely])
+            if cause in given_up or rival / HANDICAP > own + GIVEN_UP:
                 given_up.add(cause)
                 best = _strongest(tried, evidence, freely)
-                f.best, f.name, f.evidence, f.size, f.more = best, tried.names[freely], rival, 0.0, ()
+                f.best, f.name, f.evidence, f.first = best, tried.names[freely], rival, rival
+                f.size, f.more = 0.0, ()
+            take_up(space, tried, found)
         if not given_up:
             break
-    take_up(space, tried, found)
 
 
 def _starts(tried: Tried) -> list[tuple[int, float]]:

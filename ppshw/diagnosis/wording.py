@@ -54,6 +54,8 @@ def column_of(covariate: str) -> tuple[str, str]:
         return covariate.removeprefix("previous_"), "of the pose before"
     if covariate.startswith("move_"):
         return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
+    if covariate.startswith("way_"):
+        return f"q_{covariate.removeprefix('way_')}", "way since it turned back"
     if covariate.startswith("late_"):
         tau, late = covariate.removeprefix("late_").split("_", 1)
         return late, f"lagging by {tau} h"
@@ -183,7 +185,7 @@ def _change(candidate: Candidate) -> str:
 
 
 def _plainly(candidate: Candidate) -> str:
-    return listed([column_of(name) for name in candidate.covariates])
+    return listed([column_of(name) for name in candidate.covariates]) or candidate.covariate
 
 
 def listed(said: Sequence[tuple[str, str]]) -> str:

@@ -65,6 +65,21 @@ def wind_up(q: Array, approach: NDArray[np.int64], way: float) -> Array:
     return out
 
 
+def way_since_reversal(q: Array, approach: NDArray[np.int64]) -> Array:
+    """(N,) how far the joint has gone since it last turned back, in its unit; as far as it ever travels where it came
+    from the other side by a move that no visit shows."""
+    out, far = np.zeros(len(q)), float(np.ptp(q))
+    gone, direction = 0.0, 0.0
+    for k, (step, anew) in enumerate(_steps(q, approach)):
+        if anew:
+            gone, direction = far, float(approach[k])
+        elif step:
+            gone = min(far, abs(step) + (gone if step * direction > 0 else 0.0))
+            direction = float(np.sign(step))
+        out[k] = gone
+    return out
+
+
 def lagged(values: Array, hours: Array, tau: float) -> Array:
     """First-order lag with time constant tau [h] of a sampled quantity; tau = 0: the quantity itself."""
     if tau <= 0:

@@ -31,6 +31,7 @@ from ppshw.terms.history import (
     payloads,
     side_held,
     slip,
+    way_since_reversal,
     wind_up,
 )  # fmt: skip
 
@@ -159,6 +160,12 @@ def approach_q(c: Context, joint: int, power: int = 1) -> Array:
     return c.recording.approach[:, joint] * c.u(joint) ** power
 
 
+def reversal(c: Context, joint: int, knot: int, count: int) -> Array:
+    """The side a joint came from times a smooth function of the way since it turned back: the knot-th of `count` bumps
+    over its ranks, as `covariate`."""
+    return approach(c, joint) * covariate(c, f"way_{c.machine.joint_names[joint]}", knot, count)
+
+
 def slipping(c: Context, joint: int, width: float) -> Array:
     return slip(c.recording.q[:, joint], c.recording.approach[:, joint], width)
 
@@ -263,6 +270,11 @@ def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> A
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
+def load_late(c: Context, frame: int, component: int, tau: float) -> Array:
+    """A component of the wrench on a frame, its own weight included, followed with a lag of tau hours."""
+    return np.asarray(followed(c.wrenches[:, frame, component], c.hours, tau))
+
+
 def own_weight(c: Context, frame: int, component: int) -> Array:
     """A component of the wrench on a frame by the machine's own bodies alone."""
     return np.asarray(_own(c)[:, frame, component])
@@ -315,8 +327,8 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
-    one: previous_q_<joint>, move_<joint> (from the visit before), late_<hours>_<column> (first-order lag), load and
-    former_load (mass of this payload and of the one before, kg)."""
+    one: previous_q_<joint>, move_<joint> (from the visit before), way_<joint> (since it turned back),
+    late_<hours>_<column> (first-order lag), load and former_load (mass of this payload and of the one before, kg)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
@@ -326,6 +338,9 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("move_"):
         q = r.q[:, joints.index(name[5:])]
         return np.concatenate([[0.0], np.diff(q)])
+    if name.startswith("way_"):
+        k = joints.index(name[4:])
+        return way_since_reversal(r.q[:, k], r.approach[:, k])
     if name.startswith("approach_"):
         return np.asarray(r.approach[:, joints.index(name[9:])], dtype=float)
     if name.startswith("temp_"):
@@ -500,10 +515,25 @@ def scale(c: Context, place: str = "") -> Array:
     return np.asarray(rays)
 
 
-def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Array:
-    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start)."""
+def strain(c: Context, first: int, second: int, place: str = "") -> Array:
+    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    out = np.zeros_like(rays)
+    out[..., first] = rays[..., second]
+    if second != first:
+        out[..., second] = rays[..., first]
+    if place:
+        out *= temperature(c, place, 0.0)[:, None, None]
+    return out
+
+
+def target_shift(c: Context, target: int, axis: int, since: float = -1.0, order: int = 0) -> Array:
+    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start); or in
+    the `order`-th half wave over the recording."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
+    if order:
+        out = out * clock(c, "cosine", order)[:, None, None]
     if since >= 0:
         out = out * step(c, since)[:, None, None]
     return out
@@ -512,9 +542,9 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0) -> Arr
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        approach, approach_q, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q, step,
-        settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, creeping, own_weight, hanging,
-        pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, scale, target_shift,
-        unexplained, instead, model_shift,
+        approach, approach_q, reversal, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q,
+        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_late, creeping,
+        own_weight, hanging, pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, scale, strain,
+        target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

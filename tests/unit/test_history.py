@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.terms.history import followed, former, hours_since_change, lagged, load_memory, payloads, side_held, slip
+from ppshw.terms.history import (
+    followed,
+    former,
+    hours_since_change,
+    lagged,
+    load_memory,
+    payloads,
+    side_held,
+    slip,
+    way_since_reversal,
+)
 
 
 def test_a_slipping_spring_follows_small_moves_and_slips_on_large_ones() -> None:
@@ -24,6 +34,12 @@ def test_a_spring_with_hardly_any_width_is_the_sign_of_the_approach() -> None:
 def test_a_visit_reached_from_the_other_side_has_turned_back_on_its_way() -> None:
     # the setpoint lies higher than the one before, yet it was approached from above
     assert slip(np.array([0.0, 0.5]), np.array([1, -1]), 0.1)[1] == -1.0
+
+
+def test_the_way_since_a_joint_turned_back_adds_up_until_it_turns_again() -> None:
+    q = np.array([0.0, 0.5, 0.7, 0.4, 0.4, 0.3, 0.6, 0.9])
+    approach = np.array([1, 1, 1, -1, -1, -1, 1, -1])  # the last was overshot on the way, nobody knows how far
+    assert np.allclose(way_since_reversal(q, approach), [0.0, 0.5, 0.7, 0.3, 0.3, 0.4, 0.3, 0.9])
 
 
 def test_a_lag_of_no_time_is_no_lag_and_a_step_is_two_thirds_there_after_one_time_constant() -> None:

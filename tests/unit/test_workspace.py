@@ -10,7 +10,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.library import MOMENTS, library, nameless
+from ppshw.diagnosis.library import MOMENTS, library
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
@@ -106,6 +107,26 @@ def test_what_has_no_name_may_lag_behind_a_column_or_be_the_product_of_any_two(s
     one, other = named_column(c, "move_j1"), named_column(c, "move_j3")
     by_hand = (one - one.mean()) * (other - other.mean()) / (one.std() * other.std())
     assert np.allclose(both.value(c), by_hand)
+
+
+def test_what_has_no_name_may_remember_reversals_and_loads_or_sit_at_a_reflector_or_in_space(space: Workspace) -> None:
+    c = space.context
+    offered = nameless(c)
+    assert sum(k.share for k in offered) == pytest.approx(1.0)
+    assert {"approach_j2", "approach_j2 × way_j2", "P1", "distance", "distance × temp_air_C"} <= {
+        k.covariate for k in offered
+    }  # fmt: skip
+    # bumps over the way add up to nearly the side alone; a stretch alike along all axes is a scale
+    bumps = next(k.columns for k in offered if k.covariate == "approach_j2 × way_j2" and len(k.columns) == 5)
+    side = Column("frame", "approach", {"joint": 1}, 2, 5).value(c)
+    assert np.allclose(sum(b.value(c) for b in bumps) * side, 2.0, atol=1.0)
+    stretched = next(k.columns for k in offered if k.covariate == "distance")
+    even = sum(k.value(c) for k in stretched if k.args["first"] == k.args["second"])
+    assert np.allclose(even, Column("points", "scale", {}).value(c))
+    wanders = next(k.columns for k in offered if k.covariate == "P2")
+    values = np.stack([k.value(c) for k in wanders])
+    assert not values[:, :, [0, 2]].any()
+    assert np.allclose(np.linalg.norm(values[:3, :, 1], axis=2), 1.0)
 
 
 def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_same(space: Workspace) -> None:

@@ -1,0 +1,200 @@
+"""Rivals without a name: what any smooth function of the columns and their history would explain.
+
+The tip, the base or a joint in its own direction moves as a smooth function of one column, the tip as one of two; tip
+and base as the product of any two. A test that does not know the catalogue: what it finds is located by its columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.diagnosis.library import (
+    LOADS,
+    Candidate,
+    loads_on,
+    moving_joints,
+    own_component,
+    temperature_places,
+)
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
+LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
+RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
+KNOTS = 5  # bumps over the ranks of a column
+
+
+def nameless(c: Context) -> list[Candidate]:
+    """All rivals without a name for a recording; their shares are equal and add up to one."""
+    found = [
+        *_of_one_column(c), *_along_a_joint(c), *_rhythms(c), *_reversals(c), *_loads_with_a_past(c),
+        *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
+    ]  # fmt: skip
+    return [replace(k, share=1.0 / len(found)) for k in found]
+
+
+def _nameless(c: Context, frame: int, comp: int, names: tuple[str, ...], columns: Sequence[Column]) -> Candidate:
+    return Candidate(
+        "nameless", None, c.machine.frame_names[frame], COMPONENTS[comp], " × ".join(names), tuple(columns),
+        covariates=names,
+    )  # fmt: skip
+
+
+def _ends(c: Context) -> list[tuple[int, int]]:
+    """Every component of the base, then of the tip."""
+    return [(frame, comp) for frame in (0, c.machine.n) for comp in range(6)]
+
+
+def _nobody_knows(c: Context) -> list[str]:
+    """Covariates that no name is about."""
+    r = c.recording
+    return [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
+
+
+def _late(c: Context) -> list[str]:
+    return [f"late_{tau:g}_{k}" for k in _nobody_knows(c) for tau in LATE_H]
+
+
+def _columns(c: Context) -> list[str]:
+    r = c.recording
+    joints = [f"q_{name}" for _, name in moving_joints(c)]
+    out = [*joints, "time", "since_load_change"]
+    out += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
+    out += [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
+    out += _nobody_knows(c)
+    if np.isfinite(r.settle_s).all():
+        out.append("settle_s")
+    if r.has_wrench:
+        out += [w for k, w in enumerate(LOADS) if np.ptp(r.wrench[:, k]) > 0]
+        out += ["former_load"] if len(set(r.load)) > 2 else []
+    return out
+
+
+def _anywhere(c: Context) -> set[str]:
+    """Of what no name knows no place is likelier than another."""
+    return {*_nobody_knows(c), *_late(c), "former_load"}
+
+
+def _bumps(name: str, frame: int, comp: int) -> list[Column]:
+    return [Column("frame", "covariate", {"name": name, "knot": j, "count": KNOTS}, frame, comp) for j in range(KNOTS)]
+
+
+def _of_one_column(c: Context) -> Iterator[Candidate]:
+    anywhere = _anywhere(c)
+    for name in [*_columns(c), *_late(c)]:
+        frames = range(c.machine.n + 1) if name in anywhere else (0, c.machine.n)
+        for frame, comp in itertools.product(frames, range(6)):
+            yield _nameless(c, frame, comp, (name,), _bumps(name, frame, comp))
+
+
+def _along_a_joint(c: Context) -> Iterator[Candidate]:
+    for k, joint in moving_joints(c):
+        frame, comp = k + 1, own_component(c, k)
+        for name in _columns(c):
+            # but the base model's own, the waves below, and what is everywhere already
+            if name not in (f"q_{joint}", "time") and name not in _anywhere(c):
+                yield _nameless(c, frame, comp, (f"q_{joint}", name), _bumps(name, frame, comp))
+
+
+def _rhythms(c: Context) -> Iterator[Candidate]:
+    orders = range(1, RHYTHMS + 1)
+    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
+    for frame, comp, names in [*own, *((*end, ("time",)) for end in _ends(c))]:
+        waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in orders]
+        yield _nameless(c, frame, comp, names, waves)
+    for k, name in moving_joints(c):
+        for frame, comp in _ends(c):
+            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in orders]
+            yield _nameless(c, frame, comp, (f"q_{name}", "time"), waves)
+
+
+def _reversals(c: Context) -> Iterator[Candidate]:
+    """What remembers from which side a joint came: the side alone, with any function of the way since, and with the
+    position."""
+    for k, name in moving_joints(c):
+        if len(np.unique(c.recording.approach[:, k])) < 2:
+            continue
+        came, way = f"approach_{name}", f"way_{name}"
+        for frame, comp in [(k + 1, own_component(c, k)), *_ends(c)[6:]]:
+            side = Column("frame", "approach", {"joint": k}, frame, comp)
+            args = {"joint": k, "count": KNOTS}
+            since = [Column("frame", "reversal", {**args, "knot": j}, frame, comp) for j in range(KNOTS)]
+            where = [Column("frame", "approach_q", {"joint": k, "power": p}, frame, comp) for p in (1, 2)]
+            yield _nameless(c, frame, comp, (came,), (side,))
+            yield _nameless(c, frame, comp, (came, way), since)
+            yield _nameless(c, frame, comp, (came, way), (*since, *where))
+
+
+def _loads_with_a_past(c: Context) -> Iterator[Candidate]:
+    """What a frame does under its load with a temperature, or late."""
+    for frame in range(1, c.machine.n + 1):
+        for b in loads_on(c, frame):
+            late = [
+                Column("frame", "load_late", {"frame": frame, "component": b, "tau": tau}, frame, b)
+                for tau in LOAD_LATE_H
+            ]
+            yield _nameless(c, frame, b, (LOADS[b], "time"), late)
+            for place in temperature_places(c):
+                for tau in (0.0, 1.0):
+                    args = {"frame": frame, "component": b, "place": place, "tau": tau}
+                    warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
+                    yield _nameless(c, frame, b, (LOADS[b], f"temp_{place}_C"), warm)
+
+
+def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
+    joints = [f"q_{name}" for _, name in moving_joints(c)]
+    others = ["time", *(s for s in _columns(c) if s.startswith(("temp_", "F", "M")))]
+    loads = [s for s in others if s in LOADS]
+    return [
+        *itertools.combinations(joints, 2), *itertools.product(joints, others),
+        *((a, b) for a in loads for b in others if b not in LOADS),
+    ]  # fmt: skip
+
+
+def _of_two_columns(c: Context) -> Iterator[Candidate]:
+    smooth = _smooth_pairs(c)
+    for first, second in smooth:
+        for frame, comp in _ends(c)[6:]:
+            pair = {"first": first, "second": second, "count": 3}
+            yield _nameless(c, frame, comp, (first, second), [
+                Column("frame", "covariate_pair", {**pair, "a": a, "b": b}, frame, comp)
+                for a, b in itertools.product(range(3), repeat=2)
+            ])  # fmt: skip
+    known = {*smooth, *((b, a) for a, b in smooth)}
+    for first, second in itertools.combinations(_columns(c), 2):
+        for frame, comp in _ends(c)[:6] if (first, second) in known else _ends(c):
+            args = {"first": first, "second": second, "a": 0, "b": 0, "count": 1}
+            product = Column("frame", "covariate_pair", args, frame, comp)
+            yield _nameless(c, frame, comp, (first, second), (product,))
+
+
+def _of_three_positions(c: Context) -> Iterator[Candidate]:
+    for three in itertools.combinations([k for k, _ in moving_joints(c)], 3):
+        names = tuple(f"q_{c.machine.joint_names[k]}" for k in three)
+        for frame, comp in itertools.product((k + 1 for k in three), range(6)):
+            product = Column("frame", "product", {"joints": three}, frame, comp)
+            yield _nameless(c, frame, comp, names, (product,))
+
+
+def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
+    """A single reflector wanders; the space around the instrument is stretched, for good or with a temperature."""
+    if c.points.shape[1] > 1:
+        for t, name in enumerate(c.recording.target_names):
+            moves = tuple(
+                Column("points", "target_shift", {"target": t, "axis": a, "order": j})
+                for j, a in itertools.product(range(5), range(3))
+            )
+            yield Candidate("nameless", None, None, None, name, moves)
+    for place in ("", *temperature_places(c)):
+        stretched = tuple(
+            Column("points", "strain", {"first": a, "second": b, "place": place})
+            for a, b in itertools.combinations_with_replacement(range(3), 2)
+        )
+        warm = (f"temp_{place}_C",) if place else ()
+        what = " × ".join(("distance", *warm))
+        yield Candidate("nameless", None, None, None, what, stretched, covariates=warm)

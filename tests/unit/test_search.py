@@ -1,0 +1,87 @@
+"""Names against rivals without one, on what a positioner measured with a displacement put in by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import Candidate, library, own_component
+from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, search
+from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
+from ppshw.terms.shapes import Column
+from simulators.concealed.case import make_case
+
+NAME = "pitch"  # whose travel is short
+
+
+@pytest.fixture(scope="module")
+def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    case: Path = tmp_path_factory.mktemp("case")
+    make_case(60533, "pps", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 240, 180)
+    machine = load_machine(case / "machine.yaml")
+    recording = load_recording(case / "recording.csv", machine)
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool))
+
+
+def _on_the_joint(space: Workspace, function: str, **args: object) -> Column:
+    k = space.machine.joint_names.index(NAME)
+    return Column("frame", function, {"joint": k, **args}, k + 1, own_component(space.context, k))
+
+
+def _travel(space: Workspace) -> float:
+    return float(np.ptp(space.recording.q[:, space.machine.joint_names.index(NAME)]))
+
+
+def _with(space: Workspace, column: Column, times: float) -> Workspace:
+    """The same recording of a machine whose joint does this as well, so many repeatabilities rms at the reflectors."""
+    moved = column.evaluate(space.context)
+    moved *= times * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    return replace(space, data=space.data + moved)
+
+
+def _search(space: Workspace, effects: Sequence[str]) -> tuple[list[Found], Tried]:
+    some = [k for k in library(space.context) if k.effect in effects] + nameless(space.context)
+    tried = Tried(space, some, 5e-5)
+    return search(space, tried, np.random.default_rng(0)), tried
+
+
+def _best(tried: Tried, found: Found) -> Candidate:
+    return tried.candidates[found.best]
+
+
+def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
+    found, tried = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis"])
+    assert [f.name for f in found] == [("nameless", None)]
+    assert _best(tried, found[0]).covariates[0] == f"approach_{NAME}"
+    found, _ = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"])
+    assert [f.name for f in found] == [("backlash", NAME)]
+
+
+def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
+    width = 0.15 * _travel(space)
+    there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
+    found, tried = _search(there, ["friction_hysteresis", "backlash"])
+    assert [f.name for f in found] == [("friction_hysteresis", NAME)]
+    weights = found[0].weights
+    assert sum(weights.values()) == pytest.approx(1.0, abs=0.01)
+    assert weights["nameless", None] >= 0.99 * OUTSIDE
+    assert weights["friction_hysteresis", NAME] > 0.85
+    assert _best(tried, found[0]).shape["width"] == pytest.approx(width)
+
+
+def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
+    """What it loses is more than an eighth of the way over which it builds up."""
+    width = 0.01 * _travel(space)
+    there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
+    found, _ = _search(there, ["friction_hysteresis", "backlash"])
+    name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
+    assert found[0].name == name
+    assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
