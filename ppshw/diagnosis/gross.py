@@ -34,7 +34,8 @@ class GrossErrors:
         if not self.visits:
             return []
         listed = ", ".join(str(v + 1) for v in self.visits[:12]) + (" …" if len(self.visits) > 12 else "")
-        sentence = f"{len(self.visits)} visits are simply wrong and were set aside: {listed}."
+        many = f"{len(self.visits)} visits are" if len(self.visits) > 1 else "one visit is"
+        sentence = f"{many} simply wrong and set aside: {listed}."
         for visit, names in itertools.islice(self.swapped.items(), 3):
             sentence += f" In visit {visit + 1} {' and '.join(names)} are swapped."
         return [
