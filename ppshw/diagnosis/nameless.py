@@ -32,8 +32,8 @@ KNOTS = 5  # bumps over the ranks of a column
 def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording; their shares are equal and add up to one."""
     found = [
-        *_of_one_column(c), *_along_a_joint(c), *_rhythms(c), *_reversals(c), *_loads_with_a_past(c),
-        *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
+        *_of_one_column(c), *_along_a_joint(c), *_base_in_all_directions(c), *_rhythms(c), *_reversals(c),
+        *_under_load(c), *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
     ]  # fmt: skip
     return [replace(k, share=1.0 / len(found)) for k in found]
 
@@ -57,7 +57,8 @@ def _nobody_knows(c: Context) -> list[str]:
 
 
 def _late(c: Context) -> list[str]:
-    return [f"late_{tau:g}_{k}" for k in _nobody_knows(c) for tau in LATE_H]
+    warm = [f"temp_{place}_C" for place in temperature_places(c)]
+    return [f"late_{tau:g}_{k}" for k in (*_nobody_knows(c), *warm) for tau in LATE_H]
 
 
 def _columns(c: Context) -> list[str]:
@@ -77,7 +78,7 @@ def _columns(c: Context) -> list[str]:
 
 def _anywhere(c: Context) -> set[str]:
     """Of what no name knows no place is likelier than another."""
-    return {*_nobody_knows(c), *_late(c), "former_load"}
+    return {*_nobody_knows(c), *(late for late in _late(c) if "_temp_" not in late), "former_load"}
 
 
 def _bumps(name: str, frame: int, comp: int) -> list[Column]:
@@ -95,10 +96,24 @@ def _of_one_column(c: Context) -> Iterator[Candidate]:
 def _along_a_joint(c: Context) -> Iterator[Candidate]:
     for k, joint in moving_joints(c):
         frame, comp = k + 1, own_component(c, k)
-        for name in _columns(c):
+        for name in [*_columns(c), *_late(c)]:
             # but the base model's own, the waves below, and what is everywhere already
             if name not in (f"q_{joint}", "time") and name not in _anywhere(c):
                 yield _nameless(c, frame, comp, (f"q_{joint}", name), _bumps(name, frame, comp))
+                args = {"first": name, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
+                yield _nameless(c, frame, comp, (f"q_{joint}", name), [
+                    Column("frame", "covariate", {"name": name}, frame, comp),
+                    Column("frame", "covariate_pair", args, frame, comp),
+                ])  # fmt: skip
+
+
+def _base_in_all_directions(c: Context) -> Iterator[Candidate]:
+    """The base shifts with one column, each direction by a function of its own: nobody knows its axes."""
+    slow = ("time", *_nobody_knows(c), *(s for s in [*_columns(c), *_late(c)] if "temp_" in s))
+    for name in slow:
+        args = {"name": name, "count": 3}
+        shifts = [Column("frame", "covariate", {**args, "knot": j}, 0, comp) for j in range(3) for comp in range(3)]
+        yield Candidate("nameless", None, c.machine.frame_names[0], None, name, tuple(shifts), covariates=(name,))
 
 
 def _rhythms(c: Context) -> Iterator[Candidate]:
@@ -130,8 +145,8 @@ def _reversals(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (came, way), (*since, *where))
 
 
-def _loads_with_a_past(c: Context) -> Iterator[Candidate]:
-    """What a frame does under its load with a temperature, or late."""
+def _under_load(c: Context) -> Iterator[Candidate]:
+    """What a frame does under its load, by any function, late, or with a temperature."""
     for frame in range(1, c.machine.n + 1):
         for b in loads_on(c, frame):
             late = [
@@ -139,6 +154,17 @@ def _loads_with_a_past(c: Context) -> Iterator[Candidate]:
                 for tau in LOAD_LATE_H
             ]
             yield _nameless(c, frame, b, (LOADS[b], "time"), late)
+            here = {"frame": frame, "component": b, "count": KNOTS}
+            smooth = [Column("frame", "load_smooth", {**here, "knot": j}, frame, b) for j in range(KNOTS)]
+            yield _nameless(c, frame, b, (LOADS[b],), smooth)
+            where = {"frame": frame, "component": b}
+            powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
+            yield _nameless(c, frame, b, (LOADS[b],), powers)
+            here["count"] = 3
+            yield _nameless(c, frame, b, (LOADS[b],), [
+                Column("frame", "load_before", {**here, "now": now, "before": before}, frame, b)
+                for now, before in itertools.product(range(3), repeat=2)
+            ])  # fmt: skip
             for place in temperature_places(c):
                 for tau in (0.0, 1.0):
                     args = {"frame": frame, "component": b, "place": place, "tau": tau}

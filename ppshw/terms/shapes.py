@@ -270,6 +270,26 @@ def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> A
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
+def load_smooth(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
+    """A smooth function of a component of the wrench on a frame, as `covariate`."""
+    return _smooth(c, f"load {frame}.{component}", c.wrenches[:, frame, component], knot, count)
+
+
+def load_legendre(c: Context, frame: int, component: int, order: int) -> Array:
+    """Legendre polynomial of a component of the wrench on a frame, −1 … 1 over what was seen: what ranks
+    (`load_smooth`) resolve badly at the ends."""
+    w = c.wrenches[:, frame, component]
+    low, high = c.frozen(f"least.{frame}.{component}", w.min()), c.frozen(f"greatest.{frame}.{component}", w.max())
+    scaled = np.clip((w - (low + high) / 2) / max((high - low) / 2, 1e-9), -1.0, 1.0)
+    return np.asarray(np.polynomial.legendre.legval(scaled, [0.0] * order + [1.0]))
+
+
+def load_before(c: Context, frame: int, component: int, now: int, before: int, count: int) -> Array:
+    """A smooth function of a component of the wrench on a frame, times one of what it was at the visit before."""
+    values = load_smooth(c, frame, component, before, count)
+    return np.asarray(load_smooth(c, frame, component, now, count) * np.concatenate([values[:1], values[:-1]]))
+
+
 def load_late(c: Context, frame: int, component: int, tau: float) -> Array:
     """A component of the wrench on a frame, its own weight included, followed with a lag of tau hours."""
     return np.asarray(followed(c.wrenches[:, frame, component], c.hours, tau))
@@ -305,6 +325,10 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
     """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
     was made from, nothing beyond what was seen there; count 1: the column."""
     values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
+    return _smooth(c, name, values, knot, count)
+
+
+def _smooth(c: Context, name: str, values: Array, knot: int, count: int) -> Array:
     middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
     values = np.nan_to_num(values - middle)
     spread = c.frozen(f"spread of {name}", float(values.std()))
@@ -543,8 +567,8 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q,
-        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_late, creeping,
-        own_weight, hanging, pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, scale, strain,
-        target_shift, unexplained, instead, model_shift,
+        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_smooth,
+        load_legendre, load_before, load_late, creeping, own_weight, hanging, pair, product, covariate, covariate_pair,
+        creep, body_weight, sensor_error, scale, strain, target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

@@ -85,3 +85,17 @@ def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(spac
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
+
+
+def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) -> None:
+    """Friction keeps its name while what nobody knows goes on elsewhere."""
+    both = _with(space, _on_the_joint(space, "slipping", width=0.15 * _travel(space)), 3.0)
+    swells = {"name": "cov_humidity", "knot": 2, "count": 5}
+    k = space.machine.joint_names.index(NAME)
+    elsewhere = _with(both, Column("frame", "covariate", swells, 1, 0), 3.0)
+    found, _ = _search(elsewhere, ["friction_hysteresis"])
+    assert {f.name for f in found} == {("friction_hysteresis", NAME), ("nameless", None)}
+    there = _with(both, Column("frame", "covariate", swells, k + 1, own_component(space.context, k)), 3.0)
+    found, tried = _search(there, ["friction_hysteresis"])
+    assert {f.name for f in found} == {("nameless", None)}
+    assert any("cov_humidity" in covariate for f in found for covariate in _best(tried, f).covariates)
