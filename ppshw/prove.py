@@ -203,5 +203,7 @@ def sentences(document: dict[str, Any]) -> str:
     """What the command prints."""
     lines = [f"{document['cases']} cases, {len(document['lost'])} lost"]
     lines += [f"  case {name}: {why}" for name, why in document["lost"].items()]
-    lines += [f"  {bar['met']:4} {bar['what']:52} {bar['text']}" for bar in document["bars"]]
+    for bar in document["bars"]:
+        one = f"  {bar['met']:4} {bar['what']}: {bar['text']}"
+        lines += [one] if len(one) <= 80 else [f"  {bar['met']:4} {bar['what']}", f"       {bar['text']}"]
     return "\n".join(lines)

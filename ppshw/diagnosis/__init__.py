@@ -18,7 +18,7 @@ from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
 from ppshw.diagnosis.visibility import visibility
-from ppshw.diagnosis.wording import column_of, finding
+from ppshw.diagnosis.wording import column_of, finding, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import estimate
@@ -170,17 +170,15 @@ def _noise_floor(space: Workspace) -> float:
 
 def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
     candidate = tried.candidates[f.best]
+    said = [column_of(name) for name in candidate.covariates[:2]]
     region = {}
-    history = []
-    for name in candidate.covariates[:2]:
-        said, how = column_of(name)
-        values = named_column(space.context, said)
-        region[said] = [float(np.nanmin(values)), float(np.nanmax(values))]
-        history += [how] if how else []
-    history += [f"times {name}" for name in candidate.covariates[2:]]
+    for column, _ in said:
+        values = named_column(space.context, column)
+        region[column] = [float(np.nanmin(values)), float(np.nanmax(values))]
+    said += [(name, f"times {name}") for name in candidate.covariates[2:]]
     return {
         "covariates": list(region) or [candidate.covariate],  # what is no column: a reflector, the distance
-        "history": ", ".join(dict.fromkeys(history)) or None,
+        "history": history_of(said),
         "frame": candidate.frame,
         "component": candidate.component,
         "region": region,

@@ -17,7 +17,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import Found
-from ppshw.diagnosis.wording import column_of, listed
+from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, columns_at
@@ -168,7 +168,7 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
     return {
         "effect": "unexplained",
         "covariates": [column for column, _ in said],
-        "history": ", ".join(dict.fromkeys(how for _, how in said if how)) or None,
+        "history": history_of(said),
         "frame": space.machine.frame_names[correction.frame],
         "components": [COMPONENTS[c] for c in correction.components],
         "length": dict(zip(left.names, length.tolist(), strict=True)),

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import LOADS, Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library import (
-    LOADS,
     Candidate,
     loads_on,
     moving_joints,
@@ -21,7 +20,7 @@ from ppshw.diagnosis.library import (
     temperature_places,
 )
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import LOADS, Column, Context
 
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
@@ -146,30 +145,24 @@ def _reversals(c: Context) -> Iterator[Candidate]:
 
 
 def _under_load(c: Context) -> Iterator[Candidate]:
-    """What a frame does under its load, by any function, late, or with a temperature."""
+    """What a frame does under its load: by any function of it, late, with what it was before, with a temperature."""
     for frame in range(1, c.machine.n + 1):
         for b in loads_on(c, frame):
-            late = [
-                Column("frame", "load_late", {"frame": frame, "component": b, "tau": tau}, frame, b)
-                for tau in LOAD_LATE_H
-            ]
-            yield _nameless(c, frame, b, (LOADS[b], "time"), late)
-            here = {"frame": frame, "component": b, "count": KNOTS}
-            smooth = [Column("frame", "load_smooth", {**here, "knot": j}, frame, b) for j in range(KNOTS)]
-            yield _nameless(c, frame, b, (LOADS[b],), smooth)
+            load = f"on_{c.machine.frame_names[frame]}_{LOADS[b]}"
+            yield _nameless(c, frame, b, (load,), _bumps(load, frame, b))
             where = {"frame": frame, "component": b}
             powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
-            yield _nameless(c, frame, b, (LOADS[b],), powers)
-            here["count"] = 3
-            yield _nameless(c, frame, b, (LOADS[b],), [
-                Column("frame", "load_before", {**here, "now": now, "before": before}, frame, b)
-                for now, before in itertools.product(range(3), repeat=2)
+            yield _nameless(c, frame, b, (load,), powers)
+            late = [f"late_{tau:g}_{load}" for tau in LOAD_LATE_H]
+            yield _nameless(c, frame, b, (load, late[1]), [
+                Column("frame", "covariate", {"name": name}, frame, b) for name in late
             ])  # fmt: skip
+            yield _smooth_pair(c, frame, b, load, f"previous_{load}")
             for place in temperature_places(c):
                 for tau in (0.0, 1.0):
-                    args = {"frame": frame, "component": b, "place": place, "tau": tau}
+                    args = {**where, "place": place, "tau": tau}
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
-                    yield _nameless(c, frame, b, (LOADS[b], f"temp_{place}_C"), warm)
+                    yield _nameless(c, frame, b, (load, f"temp_{place}_C"), warm)
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
@@ -182,15 +175,19 @@ def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
+def _smooth_pair(c: Context, frame: int, comp: int, first: str, second: str) -> Candidate:
+    pair = {"first": first, "second": second, "count": 3}
+    return _nameless(c, frame, comp, (first, second), [
+        Column("frame", "covariate_pair", {**pair, "a": a, "b": b}, frame, comp)
+        for a, b in itertools.product(range(3), repeat=2)
+    ])  # fmt: skip
+
+
 def _of_two_columns(c: Context) -> Iterator[Candidate]:
     smooth = _smooth_pairs(c)
     for first, second in smooth:
         for frame, comp in _ends(c)[6:]:
-            pair = {"first": first, "second": second, "count": 3}
-            yield _nameless(c, frame, comp, (first, second), [
-                Column("frame", "covariate_pair", {**pair, "a": a, "b": b}, frame, comp)
-                for a, b in itertools.product(range(3), repeat=2)
-            ])  # fmt: skip
+            yield _smooth_pair(c, frame, comp, first, second)
     known = {*smooth, *((b, a) for a, b in smooth)}
     for first, second in itertools.combinations(_columns(c), 2):
         for frame, comp in _ends(c)[:6] if (first, second) in known else _ends(c):

@@ -13,9 +13,9 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, Name, Tried, corrected_residual, p_value
 from ppshw.diagnosis.forms import near_forms
-from ppshw.diagnosis.library import LOADS as ALL_LOADS
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import LOADS as ALL_LOADS
 from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
@@ -208,12 +208,9 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
             candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
         )
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in ALL_LOADS)
-        # what has no name has no near forms either: it leaves something over the same columns and in the same place
-        roughly = other.effect == "nameless" and (
-            candidate.covariate in other.covariates or candidate.frame == other.frame
-        )
-        same_cause = candidate.covariate == other.covariate or roughly
-        if (same_joint or by_load or same_cause) and evidence < SHADOW * f.first:
+        same_cause = candidate.covariate == other.covariate
+        riddle = other.effect == "nameless"  # which has no near forms: what it leaves may look like anything
+        if (same_joint or by_load or same_cause or riddle) and evidence < SHADOW * f.first:
             return f
     return None
 

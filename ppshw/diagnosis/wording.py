@@ -50,20 +50,31 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
 
 def column_of(covariate: str) -> tuple[str, str]:
     """The recording's column that a covariate is made of, and what of its history, where it is not the value itself."""
-    if covariate.startswith("previous_q_"):
-        return covariate.removeprefix("previous_"), "of the pose before"
+    if covariate.startswith("previous_"):
+        column, how = column_of(covariate.removeprefix("previous_"))
+        before = "of the pose before" if column.startswith("q_") else "at the visit before"
+        return column, ", ".join(filter(None, (how, before)))
+    if covariate.startswith("on_"):
+        frame, load = covariate.removeprefix("on_").rsplit("_", 1)
+        return load, f"on {frame}"
     if covariate.startswith("move_"):
         return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
     if covariate.startswith("way_"):
         return f"q_{covariate.removeprefix('way_')}", "way since it turned back"
     if covariate.startswith("late_"):
         tau, late = covariate.removeprefix("late_").split("_", 1)
-        return late, f"lagging by {tau} h"
+        column, how = column_of(late)
+        return column, ", ".join(filter(None, (how, f"lagging by {tau} h")))
     if covariate == "former_load":
         return "load", "of the load before"
     if covariate == "since_load_change":
         return "time", "since the load was changed"
     return covariate, ""
+
+
+def history_of(said: Sequence[tuple[str, str]]) -> str | None:
+    """What of their history columns are taken for, each thing once; None where all are taken as they are."""
+    return ", ".join(dict.fromkeys(part for _, how in said if how for part in how.split(", "))) or None
 
 
 def _unit(candidate: Candidate) -> str:

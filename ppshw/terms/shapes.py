@@ -36,6 +36,7 @@ from ppshw.terms.history import (
 )  # fmt: skip
 
 Array = NDArray[np.float64]
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 QUANTILES = 41  # that the ranks of a column are kept by
 FunctionOfVisits = Callable[..., Array]
 
@@ -270,29 +271,13 @@ def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> A
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
-def load_smooth(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
-    """A smooth function of a component of the wrench on a frame, as `covariate`."""
-    return _smooth(c, f"load {frame}.{component}", c.wrenches[:, frame, component], knot, count)
-
-
 def load_legendre(c: Context, frame: int, component: int, order: int) -> Array:
     """Legendre polynomial of a component of the wrench on a frame, −1 … 1 over what was seen: what ranks
-    (`load_smooth`) resolve badly at the ends."""
+    (`covariate`) resolve badly at the ends."""
     w = c.wrenches[:, frame, component]
     low, high = c.frozen(f"least.{frame}.{component}", w.min()), c.frozen(f"greatest.{frame}.{component}", w.max())
     scaled = np.clip((w - (low + high) / 2) / max((high - low) / 2, 1e-9), -1.0, 1.0)
     return np.asarray(np.polynomial.legendre.legval(scaled, [0.0] * order + [1.0]))
-
-
-def load_before(c: Context, frame: int, component: int, now: int, before: int, count: int) -> Array:
-    """A smooth function of a component of the wrench on a frame, times one of what it was at the visit before."""
-    values = load_smooth(c, frame, component, before, count)
-    return np.asarray(load_smooth(c, frame, component, now, count) * np.concatenate([values[:1], values[:-1]]))
-
-
-def load_late(c: Context, frame: int, component: int, tau: float) -> Array:
-    """A component of the wrench on a frame, its own weight included, followed with a lag of tau hours."""
-    return np.asarray(followed(c.wrenches[:, frame, component], c.hours, tau))
 
 
 def own_weight(c: Context, frame: int, component: int) -> Array:
@@ -325,10 +310,6 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
     """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
     was made from, nothing beyond what was seen there; count 1: the column."""
     values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
-    return _smooth(c, name, values, knot, count)
-
-
-def _smooth(c: Context, name: str, values: Array, knot: int, count: int) -> Array:
     middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
     values = np.nan_to_num(values - middle)
     spread = c.frozen(f"spread of {name}", float(values.std()))
@@ -351,14 +332,18 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
-    one: previous_q_<joint>, move_<joint> (from the visit before), way_<joint> (since it turned back),
-    late_<hours>_<column> (first-order lag), load and former_load (mass of this payload and of the one before, kg)."""
+    one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
+    turned back), load and former_load (mass of this payload and of the one before, kg), previous_<column> (at the visit
+    before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
-    if name.startswith("previous_q_"):
-        q = r.q[:, joints.index(name[11:])]
-        return np.concatenate([q[:1], q[:-1]])
+    if name.startswith("previous_"):
+        values = named_column(c, name[9:])
+        return np.concatenate([values[:1], values[:-1]])
+    if name.startswith("on_"):
+        frame, load = name[3:].rsplit("_", 1)
+        return np.asarray(c.wrenches[:, c.machine.frame_names.index(frame), LOADS.index(load)])
     if name.startswith("move_"):
         q = r.q[:, joints.index(name[5:])]
         return np.concatenate([[0.0], np.diff(q)])
@@ -383,7 +368,7 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("late_"):
         tau, late = name[5:].split("_", 1)
         return lagged(named_column(c, late), c.hours, float(tau))
-    return np.asarray(r.wrench[:, ("Fx", "Fy", "Fz", "Mx", "My", "Mz").index(name)])
+    return np.asarray(r.wrench[:, LOADS.index(name)])
 
 
 # --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
@@ -567,8 +552,8 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q,
-        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_smooth,
-        load_legendre, load_before, load_late, creeping, own_weight, hanging, pair, product, covariate, covariate_pair,
-        creep, body_weight, sensor_error, scale, strain, target_shift, unexplained, instead, model_shift,
+        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_legendre,
+        creeping, own_weight, hanging, pair, product, covariate, covariate_pair, creep, body_weight, sensor_error,
+        scale, strain, target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

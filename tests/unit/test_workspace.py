@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.wording import column_of, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
@@ -127,6 +128,26 @@ def test_what_has_no_name_may_remember_reversals_and_loads_or_sit_at_a_reflector
     values = np.stack([k.value(c) for k in wanders])
     assert not values[:, :, [0, 2]].any()
     assert np.allclose(np.linalg.norm(values[:3, :, 1], axis=2), 1.0)
+
+
+def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_recording_s_own(space: Workspace) -> None:
+    c = space.context
+    now = named_column(c, "on_j2_My")
+    assert np.array_equal(now, c.wrenches[:, 2, 4])
+    assert np.array_equal(named_column(c, "previous_on_j2_My")[1:], now[:-1])
+    assert 0.1 < np.ptp(named_column(c, "late_2_on_j2_My")) / np.ptp(now) < 0.9
+    assert column_of("on_j2_My") == ("My", "on j2")
+    assert column_of("previous_on_j2_My") == ("My", "on j2, at the visit before")
+    assert column_of("late_0.4_on_j2_My") == ("My", "on j2, lagging by 0.4 h")
+    assert column_of("previous_q_j2") == ("q_j2", "of the pose before")
+    both = [column_of(name) for name in ("on_j2_My", "late_0.4_on_j2_My")]
+    assert history_of(both) == "on j2, lagging by 0.4 h"
+    assert history_of([column_of("time")]) is None
+    offered = [k for k in nameless(c) if "on_j2_My" in k.covariates]
+    assert {len(k.columns) for k in offered} == {2, 3, 4, 5, 9}
+    powers = next(k.columns for k in offered if len(k.columns) == 4)
+    scaled = 2 * (now - now.min()) / np.ptp(now) - 1
+    assert np.allclose(powers[0].value(c), (3 * scaled**2 - 1) / 2)  # Legendre's second
 
 
 def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_same(space: Workspace) -> None:
