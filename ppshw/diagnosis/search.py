@@ -48,7 +48,8 @@ PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
-SHADOW = 0.1
+# A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it.
+SHADOW, OF_A_WAVE = 0.1, 0.2
 LOADS = frozenset({
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
 })  # fmt: skip
@@ -107,7 +108,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
 def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """A name stands while no rival without one says more in its place, whichever says more of the name's bare form and
     all its near forms: what fits better by any smooth function is something else. What bears the same name for the
-    same cause elsewhere goes with it."""
+    same cause elsewhere goes with it, and so does what the others then explain."""
     given_up: set[tuple[str, str]] = set()
     freely = tried.names.index(("nameless", None))
     for _ in range(2):
@@ -116,12 +117,7 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             if f.name[0] == "nameless":
                 continue
             others = [g for g in found if g is not f]
-            # by itself: what it took over from other names or none speaks for them
-            take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f], and_look=False)
-            whole = space.log_evidence()
-            take_up(space, tried, others)
-            evidence, names = _names(tried)
-            own = max(float(names[tried.names.index(f.name)]), whole - space.log_evidence())
+            own, evidence, names = _by_itself(space, tried, f, others)
             rival = float(names[freely])
             if cause in given_up or _beside_a_riddle(tried, f, others) or rival / HANDICAP > own + GIVEN_UP:
                 given_up.add(cause)
@@ -130,7 +126,22 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
                 f.size, f.more = 0.0, ()
             take_up(space, tried, found)
         if not given_up:
-            break
+            return
+    for f in list(found):
+        others = [g for g in found if g is not f]
+        if others and _by_itself(space, tried, f, others)[0] < LEAST_FURTHER:
+            found.remove(f)
+    take_up(space, tried, found)
+
+
+def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, Array, Array]:
+    """What a finding says beside the others, by its bare form or with all near forms, less what it took over from other
+    names; the log evidence of all candidates beside the others, and of all names. The others are then taken up."""
+    take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f], and_look=False)
+    whole = space.log_evidence()
+    take_up(space, tried, others)
+    evidence, names = _names(tried)
+    return max(float(names[tried.names.index(f.name)]), whole - space.log_evidence()), evidence, names
 
 
 def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:
@@ -210,7 +221,9 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in ALL_LOADS)
         same_cause = candidate.covariate == other.covariate
         riddle = other.effect == "nameless"  # which has no near forms: what it leaves may look like anything
-        if (same_joint or by_load or same_cause or riddle) and evidence < SHADOW * f.first:
+        wave = candidate.effect == "periodic_transmission" != other.effect
+        least = SHADOW * f.first * (OF_A_WAVE if wave else 1.0)
+        if (same_joint or by_load or same_cause or riddle) and evidence < least:
             return f
     return None
 
