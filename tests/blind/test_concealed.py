@@ -371,7 +371,7 @@ TO_BE_RIGHT = (
     "pair, 1 × each: both named",
     "outside the catalogue, 1 ×: unexplained, or a fair neighbour",
     "outside the catalogue, 1 ×: located",
-    "√λ ≥ 6: detected",
+    "√λ beside priors ≥ 6: detected",
 )
 
 
@@ -409,7 +409,8 @@ def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
     table = summarise(scores)
     bars = by_name(table)
     assert (bars["its name taken out of the library: another name"]["hits"], len(table["removed"])) == (1, 2)
-    assert bars["√λ ≥ 6: detected"]["met"] == bars["effect of 1 × repeatability: right name"]["met"] == "open"
+    assert bars["√λ beside priors ≥ 6: detected"]["met"] == "open"
+    assert bars["effect of 1 × repeatability: right name"]["met"] == "open"
     assert {c.effect == c.without for c in removed_deck(20, 3)} == {True}
     assert not {c.seed for c in removed_deck(20, 3)} & {c.seed for c in deck(400, 3)}
 
@@ -510,6 +511,32 @@ def test_shares_come_with_the_interval_that_few_cases_deserve() -> None:
     assert none["high"] == pytest.approx(1 - 0.05 ** (1 / 20))  # 13.9 %: the rule of three at 95 %
     assert (none["low"], none["share"]) == (0.0, 0.0)
     assert share([])["share"] is None
+
+
+def test_bars_stand_beside_what_could_be_found_and_count_by_either_strength() -> None:
+    """Four effects of which the recordings show two; by the plain projection only one is strong."""
+    truth = {"effect": "drift", "form": "linear", "joint": None, "also": [], "neighbours": [], "known": True,
+             "covariates": ["time"]}  # fmt: skip
+    about = dict.fromkeys(("seed", "machine", "asked", "repeatability_rms_mm"), 0) | {"size": 2.0}
+    found = {**CONSISTENT, "verdict": "missing_physics", "findings": [
+        {"effect": "drift", "joint": None, "weight": 0.9, "covariate": "time"}]}  # fmt: skip
+    strengths = [
+        (9.0, 7.0, 1.0, found), (6.5, 4.0, 0.9, CONSISTENT), (1.0, 0.5, 0.06, CONSISTENT), (0.5, 0.1, 0.0, CONSISTENT),
+    ]  # fmt: skip
+    scores = [
+        score_of(about, [{**truth, "sqrt_lambda": a, "sqrt_lambda_free": b, "power": power}], answer, None, 1.0)
+        for a, b, power, answer in strengths
+    ]
+    bars = by_name(summarise(scores))
+    projected, held_back = (bars[f"√λ {which} ≥ 6: detected"] for which in ("after projection", "beside priors"))
+    assert (projected["hits"], projected["of"]) == (1, 1)
+    assert (held_back["hits"], held_back["of"]) == (1, 2)
+    named = bars["effect of 2 × repeatability: right name"]
+    assert named["share"] == 0.25
+    assert named["bound"] == pytest.approx(0.49)
+    assert "the bound 49 %" in named["text"]
+    scores.append(score_of(about, [{**truth, "power": None}, {**truth, "power": 0.5}], CONSISTENT, None, 1.0))
+    assert by_name(summarise(scores))["pair, 1 × each: both named"]["bound"] == pytest.approx(0.5)
 
 
 def test_half_power_is_found_where_half_are_detected() -> None:
