@@ -26,6 +26,7 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
+LEAST_WAVE = 6  # half waves over the travel from which on they are periods
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
@@ -163,14 +164,14 @@ def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
 
 def _with_more(c: Context, about: Sequence[float]) -> list[float]:
     """Forty moments, and all between two visits that are as near to one of `about` as its neighbours are."""
-    grid, every = np.array(_moments(c, MOMENTS)), np.array(_moments(c, len(c.hours)))
+    grid, every = np.array(moments_between(c, MOMENTS)), np.array(moments_between(c, len(c.hours)))
     if not len(grid) or not len(about):
         return [float(t) for t in grid]
     away = np.min(np.abs(every[:, None] - np.array(about)), axis=1)
     return sorted({*map(float, grid), *map(float, every[away <= 1.01 * np.diff(grid).max()])})
 
 
-def _moments(c: Context, most: int) -> list[float]:
+def moments_between(c: Context, most: int) -> list[float]:
     """Moments between visits, evenly, some way from both ends [h]."""
     count = len(c.hours)
     return [float(t) for t in (0.5 * (c.hours[1:] + c.hours[:-1]))[8 : count - 8 : max(1, count // most)]]
@@ -193,7 +194,7 @@ def _periodic(c: Context) -> Iterator[Candidate]:
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
-        periods = 2 * span / np.arange(6, most + 1)
+        periods = 2 * span / np.arange(LEAST_WAVE, most + 1)
         own = own_component(c, k)
         for period in periods:
             args = {"joint": k, "period": float(period)}
@@ -355,7 +356,7 @@ def _zero_shift(c: Context) -> Iterator[Candidate]:
         def step(moment: float, k: int = k, own: int = own) -> Column:
             return Column("frame", "step", {"visit_time": moment}, k + 1, own)
 
-        every, some = _moments(c, 450), _moments(c, MOMENTS)
+        every, some = moments_between(c, 450), moments_between(c, MOMENTS)
         for moment in every:
             yield Candidate(*where, (step(moment),), {"time_h": moment}, 1.0 / len(every))
         for first, second in itertools.combinations(some, 2):

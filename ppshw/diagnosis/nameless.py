@@ -13,8 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library import (
+    LEAST_PERIODS,
+    LEAST_WAVE,
+    MOMENTS,
     Candidate,
     loads_on,
+    moments_between,
     moving_joints,
     own_component,
     temperature_places,
@@ -25,14 +29,16 @@ from ppshw.terms.shapes import LOADS, Column, Context
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
+BAND = 8  # neighbouring waves over a joint's travel together
 KNOTS = 5  # bumps over the ranks of a column
 
 
 def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording; their shares are equal and add up to one."""
     found = [
-        *_of_one_column(c), *_along_a_joint(c), *_base_in_all_directions(c), *_rhythms(c), *_reversals(c),
-        *_under_load(c), *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
+        *_of_one_column(c), *_along_a_joint(c), *_base_in_all_directions(c), *_at_a_moment(c), *_rhythms(c),
+        *_rough_travel(c), *_reversals(c), *_under_load(c), *_of_two_columns(c), *_of_three_positions(c),
+        *_at_the_reflectors(c),
     ]  # fmt: skip
     return [replace(k, share=1.0 / len(found)) for k in found]
 
@@ -115,6 +121,26 @@ def _base_in_all_directions(c: Context) -> Iterator[Candidate]:
         yield Candidate("nameless", None, c.machine.frame_names[0], None, name, tuple(shifts), covariates=(name,))
 
 
+def _at_a_moment(c: Context) -> Iterator[Candidate]:
+    """Something changes once, at one of some moments, and stays."""
+    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
+    for frame, comp, names in [*own, *((*end, ("time",)) for end in _ends(c))]:
+        for moment in moments_between(c, MOMENTS):
+            yield _nameless(c, frame, comp, names, [Column("frame", "step", {"visit_time": moment}, frame, comp)])
+
+
+def _rough_travel(c: Context) -> Iterator[Candidate]:
+    """A joint errs along its own freedom by short waves, a band of neighbouring ones at a time."""
+    for k, joint in moving_joints(c):
+        frame, comp, span = k + 1, own_component(c, k), float(np.ptp(c.recording.q[:, k]))
+        for first in range(LEAST_WAVE, LEAST_PERIODS - BAND + 2, BAND):
+            waves = [
+                Column("frame", "wave", {"joint": k, "period": 2 * span / order, "phase": phase}, frame, comp)
+                for order in range(first, first + BAND) for phase in ("sin", "cos")
+            ]  # fmt: skip
+            yield _nameless(c, frame, comp, (f"q_{joint}",), waves)
+
+
 def _rhythms(c: Context) -> Iterator[Candidate]:
     orders = range(1, RHYTHMS + 1)
     own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
@@ -188,6 +214,10 @@ def _of_two_columns(c: Context) -> Iterator[Candidate]:
     for first, second in smooth:
         for frame, comp in _ends(c)[6:]:
             yield _smooth_pair(c, frame, comp, first, second)
+    for (k, one), (m, other) in itertools.combinations(moving_joints(c), 2):
+        for frame, comp in itertools.product((k + 1, m + 1), range(6)):
+            if frame != c.machine.n:  # the tip has been above
+                yield _smooth_pair(c, frame, comp, f"q_{one}", f"q_{other}")
     known = {*smooth, *((b, a) for a, b in smooth)}
     for first, second in itertools.combinations(_columns(c), 2):
         for frame, comp in _ends(c)[:6] if (first, second) in known else _ends(c):
