@@ -26,7 +26,6 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
-LEAST_WAVE = 6  # half waves over the travel from which on they are periods
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
@@ -194,7 +193,7 @@ def _periodic(c: Context) -> Iterator[Candidate]:
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
-        periods = 2 * span / np.arange(LEAST_WAVE, most + 1)
+        periods = 2 * span / np.arange(6, most + 1)
         own = own_component(c, k)
         for period in periods:
             args = {"joint": k, "period": float(period)}

@@ -13,8 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library import (
-    LEAST_PERIODS,
-    LEAST_WAVE,
     MOMENTS,
     Candidate,
     loads_on,
@@ -29,7 +27,6 @@ from ppshw.terms.shapes import LOADS, Column, Context
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
-BAND = 8  # neighbouring waves over a joint's travel together
 KNOTS = 5  # bumps over the ranks of a column
 
 
@@ -37,8 +34,7 @@ def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording; their shares are equal and add up to one."""
     found = [
         *_of_one_column(c), *_along_a_joint(c), *_base_in_all_directions(c), *_at_a_moment(c), *_rhythms(c),
-        *_rough_travel(c), *_reversals(c), *_under_load(c), *_of_two_columns(c), *_of_three_positions(c),
-        *_at_the_reflectors(c),
+        *_reversals(c), *_under_load(c), *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
     ]  # fmt: skip
     return [replace(k, share=1.0 / len(found)) for k in found]
 
@@ -127,18 +123,6 @@ def _at_a_moment(c: Context) -> Iterator[Candidate]:
     for frame, comp, names in [*own, *((*end, ("time",)) for end in _ends(c))]:
         for moment in moments_between(c, MOMENTS):
             yield _nameless(c, frame, comp, names, [Column("frame", "step", {"visit_time": moment}, frame, comp)])
-
-
-def _rough_travel(c: Context) -> Iterator[Candidate]:
-    """A joint errs along its own freedom by short waves, a band of neighbouring ones at a time."""
-    for k, joint in moving_joints(c):
-        frame, comp, span = k + 1, own_component(c, k), float(np.ptp(c.recording.q[:, k]))
-        for first in range(LEAST_WAVE, LEAST_PERIODS - BAND + 2, BAND):
-            waves = [
-                Column("frame", "wave", {"joint": k, "period": 2 * span / order, "phase": phase}, frame, comp)
-                for order in range(first, first + BAND) for phase in ("sin", "cos")
-            ]  # fmt: skip
-            yield _nameless(c, frame, comp, (f"q_{joint}",), waves)
 
 
 def _rhythms(c: Context) -> Iterator[Candidate]:

@@ -220,12 +220,21 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         )
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in ALL_LOADS)
         same_cause = candidate.covariate == other.covariate
-        riddle = other.effect == "nameless"  # which has no near forms: what it leaves may look like anything
+        riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else 1.0)
         if (same_joint or by_load or same_cause or riddle) and evidence < least:
             return f
     return None
+
+
+def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
+    """What has no name has no near forms either: it leaves something in the same component, over the same columns, and
+    over time where it lags."""
+    same_place = (candidate.frame, candidate.component) == (other.frame, other.component)
+    over = any(candidate.covariate in name for name in other.covariates)
+    lags = candidate.covariate == "time" and any(name.startswith("late_") for name in other.covariates)
+    return same_place or over or lags
 
 
 def _name(tried: Tried, candidate: int) -> Name:
