@@ -117,7 +117,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     space = prepare(machine, first, np.ones(FIT, dtype=bool), base)
     repeatability = float(np.sqrt(np.trace(base.noise.pose[:3, :3])))
     lateral = machine.joint_names[0]
-    some = [k for k in nameless(space.context) if k.covariates in ((f"previous_q_{lateral}",), ("time",))]
+    before, time = (f"previous_q_{lateral}",), ("time",)
+    some = [k for k in nameless(space.context) if k.covariates in (before, time) and len(k.columns) > 1]
     tried = Tried(space, [replace(k, share=1.0 / len(some)) for k in some], repeatability)
     found = search(space, tried, np.random.default_rng(0))
     space = space.as_learnt()
