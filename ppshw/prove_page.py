@@ -47,7 +47,7 @@ def markdown(document: Json) -> str:
             _number(r["seconds"], ".1f"),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", "| √λ | detected | bound | named | in aliases | wrong name |", "|" + "---|" * 6]
+    lines += ["", "| √λ beside priors | detected | bound | named | in aliases | wrong name |", "|" + "---|" * 6]
     for r in document["strengths"]:
         span = f"{r['from']:g} and more" if r["to"] is None else f"{r['from']:g} to {r['to']:g}"
         cells = [

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.kinematics import frames, point_positions
-from ppshw.machine import Machine
+from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Recording
 from ppshw.terms.history import payloads
 
@@ -28,7 +28,6 @@ GROSS_WRENCH = 0.3
 SIGN = {-1.0: "has the opposite sign"}
 LENGTHS = {**SIGN, 1e-3: "is in millimetres, expected metres", 1e3: "is in kilometres, expected metres"}
 ANGLES = {**SIGN, float(np.pi / 180): "is in degrees, expected radians"}
-WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,8 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
     for columns in [tuple(range(6)), (0, 1, 2), (3, 4, 5), *((k,) for k in range(6))]:
         wrench = recording.wrench.copy()
         wrench[:, columns] *= -1.0
-        name = WRENCH[columns[0]] if len(columns) == 1 else f"{WRENCH[columns[0]]} … {WRENCH[columns[-1]]}"
+        first, last = WRENCH_COMPONENTS[columns[0]], WRENCH_COMPONENTS[columns[-1]]
+        name = first if len(columns) == 1 else f"{first} … {last}"
         after = _unlike_a_payload(recording, wrench, g)
         yield Mistake(name, -1.0, SIGN[-1.0], before, after), replace(recording, wrench=wrench)
 

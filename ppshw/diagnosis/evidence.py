@@ -49,7 +49,7 @@ class _Batch:
 class Tried:
     """All candidates over one workspace: their columns whitened, of unit size, and less what the base model absorbs.
 
-    half       (K, F·3T + p)  rows whose products are ZᵀV⁻¹Z, in single precision: there are some 23,000 of them
+    half       (K, F·3T + p)  rows whose products are ZᵀV⁻¹Z, in single precision: there are some 35,000 of them
     projected  (K, F·3T)      their first part, P Z
     plain, seen  (K,)      ZᵀR⁻¹Z and ZᵀV⁻¹Z of every column
     without      effects that were left out of the candidates

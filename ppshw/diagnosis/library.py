@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import LOADS, Column, Context
+from ppshw.terms.shapes import Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
@@ -225,7 +226,7 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                 args = {"frame": frame, "component": b, "exponent": exponent}
                 for comp in range(6):
                     yield Candidate(
-                        "nonlinear_stiffness", name, name, COMPONENTS[comp], LOADS[b],
+                        "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", "load_power", args, frame, comp),), {"exponent": exponent},
                         1.0 if comp == b else 0.2,
                     )  # fmt: skip
@@ -246,7 +247,7 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                 args = {"frame": frame, "component": b, **shape}
                 for comp in range(6):
                     yield Candidate(
-                        "clearance", name, name, COMPONENTS[comp], LOADS[b],
+                        "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, args, frame, comp),), {"width": shape["width"]},
                         1.0 if comp == b else 0.1,
                     )  # fmt: skip
@@ -297,7 +298,7 @@ def _wrench(c: Context) -> Iterator[Candidate]:
     if not c.recording.has_wrench:
         return
     for comp in range(6):
-        where = ("wrench_error", None, None, None, LOADS[comp])
+        where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
         yield Candidate(*where, (Column("frames", "sensor_error", {"component": comp}),))
         drifting = Column("frames", "sensor_error", {"component": comp, "time": "linear"})
         yield Candidate(*where, (drifting,))
@@ -312,7 +313,7 @@ def _wrench(c: Context) -> Iterator[Candidate]:
     yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
     for source in range(3):
         leak = tuple(Column("frames", "sensor_error", {"component": m, "source": source}) for m in (3, 4, 5))
-        yield Candidate("wrench_error", None, None, None, LOADS[source], leak)
+        yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[source], leak)
     for place in temperature_places(c):
         for tau in LAGS_H:
             every = tuple(
@@ -374,7 +375,7 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
         known = set(joint.elastic.load_indices) if joint is not None and joint.elastic is not None else set()
         for b in loads_on(c, frame):
             for comp in range(6):
-                where = ("missing_compliance", name, name or "base", COMPONENTS[comp], LOADS[b])
+                where = ("missing_compliance", name, name or "base", COMPONENTS[comp], WRENCH_COMPONENTS[b])
                 share = 1.0 if comp == b else 0.2
                 if b not in known:
                     args = {"frame": frame, "component": b}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from ppshw.diagnosis.replicas import Compared
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 
@@ -135,7 +136,7 @@ def _covariates(c: Context) -> Iterator[Covariate]:
         product = (one[:, :, None] * two[:, None, :]).reshape(len(r), -1)
         yield Covariate((f"q_{joints[a]}", f"q_{joints[b]}"), "pairs", product)
     if r.has_wrench:
-        for k, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz")):
+        for k, name in enumerate(WRENCH_COMPONENTS):
             if np.ptp(r.wrench[:, k]) > 0:
                 yield Covariate((name,), "load", _cosines(r.wrench[:, k]))
     if len(set(r.load)) > 1:

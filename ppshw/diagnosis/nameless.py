@@ -21,8 +21,9 @@ from ppshw.diagnosis.library import (
     own_component,
     temperature_places,
 )
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import LOADS, Column, Context
+from ppshw.terms.shapes import Column, Context
 
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
@@ -39,10 +40,12 @@ def nameless(c: Context) -> list[Candidate]:
     return [replace(k, share=1.0 / len(found)) for k in found]
 
 
-def _nameless(c: Context, frame: int, comp: int, names: tuple[str, ...], columns: Sequence[Column]) -> Candidate:
+def _nameless(
+    c: Context, frame: int, comp: int | None, names: tuple[str, ...], columns: Sequence[Column]
+) -> Candidate:  # fmt: skip
     return Candidate(
-        "nameless", None, c.machine.frame_names[frame], COMPONENTS[comp], " × ".join(names), tuple(columns),
-        covariates=names,
+        "nameless", None, c.machine.frame_names[frame], None if comp is None else COMPONENTS[comp], " × ".join(names),
+        tuple(columns), covariates=names,
     )  # fmt: skip
 
 
@@ -72,7 +75,7 @@ def _columns(c: Context) -> list[str]:
     if np.isfinite(r.settle_s).all():
         out.append("settle_s")
     if r.has_wrench:
-        out += [w for k, w in enumerate(LOADS) if np.ptp(r.wrench[:, k]) > 0]
+        out += [w for k, w in enumerate(WRENCH_COMPONENTS) if np.ptp(r.wrench[:, k]) > 0]
         out += ["former_load"] if len(set(r.load)) > 2 else []
     return out
 
@@ -95,11 +98,12 @@ def _of_one_column(c: Context) -> Iterator[Candidate]:
 
 
 def _along_a_joint(c: Context) -> Iterator[Candidate]:
+    anywhere = _anywhere(c)
+    columns = [name for name in (*_columns(c), *_late(c)) if name not in anywhere]
     for k, joint in moving_joints(c):
         frame, comp = k + 1, own_component(c, k)
-        for name in [*_columns(c), *_late(c)]:
-            # but the base model's own, the waves below, and what is everywhere already
-            if name not in (f"q_{joint}", "time") and name not in _anywhere(c):
+        for name in columns:
+            if name not in (f"q_{joint}", "time"):  # the base model's own, and the waves below
                 yield _nameless(c, frame, comp, (f"q_{joint}", name), _bumps(name, frame, comp))
                 args = {"first": name, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
                 yield _nameless(c, frame, comp, (f"q_{joint}", name), [
@@ -114,21 +118,25 @@ def _base_in_all_directions(c: Context) -> Iterator[Candidate]:
     for name in slow:
         args = {"name": name, "count": 3}
         shifts = [Column("frame", "covariate", {**args, "knot": j}, 0, comp) for j in range(3) for comp in range(3)]
-        yield Candidate("nameless", None, c.machine.frame_names[0], None, name, tuple(shifts), covariates=(name,))
+        yield _nameless(c, 0, None, (name,), shifts)
+
+
+def _over_time(c: Context) -> list[tuple[int, int, tuple[str, ...]]]:
+    """Where what nobody names may go on in time: every joint in its own direction, base and tip; over which columns."""
+    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
+    return [*own, *((frame, comp, ("time",)) for frame, comp in _ends(c))]
 
 
 def _at_a_moment(c: Context) -> Iterator[Candidate]:
     """Something changes once, at one of some moments, and stays."""
-    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
-    for frame, comp, names in [*own, *((*end, ("time",)) for end in _ends(c))]:
+    for frame, comp, names in _over_time(c):
         for moment in moments_between(c, MOMENTS):
             yield _nameless(c, frame, comp, names, [Column("frame", "step", {"visit_time": moment}, frame, comp)])
 
 
 def _rhythms(c: Context) -> Iterator[Candidate]:
     orders = range(1, RHYTHMS + 1)
-    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
-    for frame, comp, names in [*own, *((*end, ("time",)) for end in _ends(c))]:
+    for frame, comp, names in _over_time(c):
         waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in orders]
         yield _nameless(c, frame, comp, names, waves)
     for k, name in moving_joints(c):
@@ -158,7 +166,7 @@ def _under_load(c: Context) -> Iterator[Candidate]:
     """What a frame does under its load: by any function of it, late, with what it was before, with a temperature."""
     for frame in range(1, c.machine.n + 1):
         for b in loads_on(c, frame):
-            load = f"on_{c.machine.frame_names[frame]}_{LOADS[b]}"
+            load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
             yield _nameless(c, frame, b, (load,), _bumps(load, frame, b))
             where = {"frame": frame, "component": b}
             powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
@@ -178,10 +186,10 @@ def _under_load(c: Context) -> Iterator[Candidate]:
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
     joints = [f"q_{name}" for _, name in moving_joints(c)]
     others = ["time", *(s for s in _columns(c) if s.startswith(("temp_", "F", "M")))]
-    loads = [s for s in others if s in LOADS]
+    loads = [s for s in others if s in WRENCH_COMPONENTS]
     return [
         *itertools.combinations(joints, 2), *itertools.product(joints, others),
-        *((a, b) for a in loads for b in others if b not in LOADS),
+        *((a, b) for a in loads for b in others if b not in WRENCH_COMPONENTS),
     ]  # fmt: skip
 
 

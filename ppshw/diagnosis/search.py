@@ -15,7 +15,7 @@ from ppshw.diagnosis.evidence import HANDICAP, Name, Tried, corrected_residual, 
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.terms.shapes import LOADS as ALL_LOADS
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
@@ -218,7 +218,7 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         same_joint = other.joint is not None and (
             candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
         )
-        by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in ALL_LOADS)
+        by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate
         riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         wave = candidate.effect == "periodic_transmission" != other.effect

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.kinematics import frames, point_jacobian
-from ppshw.machine import Machine
+from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
@@ -36,7 +36,6 @@ from ppshw.terms.history import (
 )  # fmt: skip
 
 Array = NDArray[np.float64]
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 QUANTILES = 41  # that the ranks of a column are kept by
 FunctionOfVisits = Callable[..., Array]
 
@@ -343,7 +342,7 @@ def named_column(c: Context, name: str) -> Array:
         return np.concatenate([values[:1], values[:-1]])
     if name.startswith("on_"):
         frame, load = name[3:].rsplit("_", 1)
-        return np.asarray(c.wrenches[:, c.machine.frame_names.index(frame), LOADS.index(load)])
+        return np.asarray(c.wrenches[:, c.machine.frame_names.index(frame), WRENCH_COMPONENTS.index(load)])
     if name.startswith("move_"):
         q = r.q[:, joints.index(name[5:])]
         return np.concatenate([[0.0], np.diff(q)])
@@ -368,7 +367,7 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("late_"):
         tau, late = name[5:].split("_", 1)
         return lagged(named_column(c, late), c.hours, float(tau))
-    return np.asarray(r.wrench[:, LOADS.index(name)])
+    return np.asarray(r.wrench[:, WRENCH_COMPONENTS.index(name)])
 
 
 # --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
@@ -518,22 +517,21 @@ def columns_at(c: Context, names: tuple[str, ...]) -> Array:
 # --- on the measured points: (N, T, 3) ----------------------------------------------------------------------------
 def scale(c: Context, place: str = "") -> Array:
     """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature."""
-    rays = c.points - c.measuring_in_base[:3, 3]
-    if place:
-        rays = rays * temperature(c, place, 0.0)[:, None, None]
-    return np.asarray(rays)
+    return _rays(c, place)
 
 
 def strain(c: Context, first: int, second: int, place: str = "") -> Array:
     """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place."""
-    rays = c.points - c.measuring_in_base[:3, 3]
+    rays = _rays(c, place)
     out = np.zeros_like(rays)
-    out[..., first] = rays[..., second]
-    if second != first:
-        out[..., second] = rays[..., first]
-    if place:
-        out *= temperature(c, place, 0.0)[:, None, None]
+    out[..., first], out[..., second] = rays[..., second], rays[..., first]
     return out
+
+
+def _rays(c: Context, place: str) -> Array:
+    """(N, T, 3) from the instrument to the targets; times a temperature with a place."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    return np.asarray(rays * temperature(c, place, 0.0)[:, None, None] if place else rays)
 
 
 def target_shift(c: Context, target: int, axis: int, since: float = -1.0, order: int = 0) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,20 +13,15 @@ from ppshw.diagnosis.library import Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, search
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.machine import load_machine
-from ppshw.recording import load_recording
 from ppshw.terms.shapes import Column
-from simulators.concealed.case import make_case
+from tests.unit.clean_case import clean_case
 
 NAME = "pitch"  # whose travel is short
 
 
 @pytest.fixture(scope="module")
 def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    case: Path = tmp_path_factory.mktemp("case")
-    make_case(60533, "pps", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 240, 180)
-    machine = load_machine(case / "machine.yaml")
-    recording = load_recording(case / "recording.csv", machine)
+    machine, recording = clean_case(60533, "pps", 240, 180, tmp_path_factory.mktemp("clean"))
     return prepare(machine, recording, np.ones(len(recording), dtype=bool))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,18 +9,13 @@ from ppshw.diagnosis.library import library
 from ppshw.diagnosis.wording import column_of, parameters_of, sentence
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
-from ppshw.machine import load_machine
-from ppshw.recording import load_recording
 from ppshw.terms.shapes import Context
-from simulators.concealed.case import make_case
+from tests.unit.clean_case import clean_case
 
 
 @pytest.fixture(scope="module")
 def context(tmp_path_factory: pytest.TempPathFactory) -> Context:
-    case: Path = tmp_path_factory.mktemp("case")
-    make_case(5, "pps", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 80, 80)
-    machine = load_machine(case / "machine.yaml")
-    recording = load_recording(case / "recording.csv", machine)
+    machine, recording = clean_case(5, "pps", 80, 80, tmp_path_factory.mktemp("clean"))
     base = estimate(joint_model(machine, recording), recording)
     return Context.of(base.model, base.theta, recording, base.measuring_in_base)
 

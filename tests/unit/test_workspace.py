@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -14,19 +12,14 @@ from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.machine import load_machine
-from ppshw.recording import load_recording
 from ppshw.terms.shapes import Column, named_column
-from simulators.concealed.case import make_case
+from tests.unit.clean_case import clean_case
 
 
 @pytest.fixture(scope="module")
 def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """An arm with nothing wrong beyond the model, whose own weight bends it more than any load."""
-    case: Path = tmp_path_factory.mktemp("case")
-    make_case(60531, "arm6", "null", 0.0, case, tmp_path_factory.mktemp("sealed"), 600, 450)
-    machine = load_machine(case / "machine.yaml")
-    recording = load_recording(case / "recording.csv", machine)
+    machine, recording = clean_case(60531, "arm6", 600, 450, tmp_path_factory.mktemp("clean"))
     return prepare(machine, recording, np.ones(len(recording), dtype=bool))
 
 
