@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.library import (
     MOMENTS,
@@ -25,6 +27,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
+Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
@@ -70,8 +73,7 @@ def _columns(c: Context) -> list[str]:
     joints = [f"q_{name}" for _, name in moving_joints(c)]
     out = [*joints, "time", "since_load_change"]
     out += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
-    out += [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
-    out += _nobody_knows(c)
+    out += _came_from(c) + _nobody_knows(c)
     if np.isfinite(r.settle_s).all():
         out.append("settle_s")
     if r.has_wrench:
@@ -80,9 +82,15 @@ def _columns(c: Context) -> list[str]:
     return out
 
 
+def _came_from(c: Context) -> list[str]:
+    joints = [f"q_{name}" for _, name in moving_joints(c)]
+    return [f"previous_{j}" for j in joints] + [f"move_{j[2:]}" for j in joints]
+
+
 def _anywhere(c: Context) -> set[str]:
     """Of what no name knows no place is likelier than another."""
-    return {*_nobody_knows(c), *(late for late in _late(c) if "_temp_" not in late), "former_load"}
+    late = (name for name in _late(c) if "_temp_" not in name)
+    return {*_nobody_knows(c), *late, *_came_from(c), "former_load"}
 
 
 def _bumps(name: str, frame: int, comp: int) -> list[Column]:
@@ -98,13 +106,14 @@ def _of_one_column(c: Context) -> Iterator[Candidate]:
 
 
 def _along_a_joint(c: Context) -> Iterator[Candidate]:
-    anywhere = _anywhere(c)
-    columns = [name for name in (*_columns(c), *_late(c)) if name not in anywhere]
+    anywhere, before = _anywhere(c), _came_from(c)
+    columns = [name for name in (*_columns(c), *_late(c)) if name not in anywhere or name in before]
     for k, joint in moving_joints(c):
         frame, comp = k + 1, own_component(c, k)
         for name in columns:
             if name not in (f"q_{joint}", "time"):  # the base model's own, and the waves below
-                yield _nameless(c, frame, comp, (f"q_{joint}", name), _bumps(name, frame, comp))
+                if name not in before:
+                    yield _nameless(c, frame, comp, (f"q_{joint}", name), _bumps(name, frame, comp))
                 args = {"first": name, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
                 yield _nameless(c, frame, comp, (f"q_{joint}", name), [
                     Column("frame", "covariate", {"name": name}, frame, comp),
@@ -167,20 +176,36 @@ def _under_load(c: Context) -> Iterator[Candidate]:
     for frame in range(1, c.machine.n + 1):
         for b in loads_on(c, frame):
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
-            yield _nameless(c, frame, b, (load,), _bumps(load, frame, b))
+            late = [f"late_{tau:g}_{load}" for tau in LOAD_LATE_H]
             where = {"frame": frame, "component": b}
             powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
-            yield _nameless(c, frame, b, (load,), powers)
-            late = [f"late_{tau:g}_{load}" for tau in LOAD_LATE_H]
-            yield _nameless(c, frame, b, (load, late[1]), [
-                Column("frame", "covariate", {"name": name}, frame, b) for name in late
-            ])  # fmt: skip
-            yield _smooth_pair(c, frame, b, load, f"previous_{load}")
+            lagging = [Column("frame", "covariate", {"name": name}, frame, b) for name in late]
+            found = [
+                _nameless(c, frame, b, (load,), _bumps(load, frame, b)),
+                _nameless(c, frame, b, (load,), powers),
+                _nameless(c, frame, b, (load, late[1]), lagging),
+                _smooth_pair(c, frame, b, load, f"previous_{load}"),
+            ]
             for place in temperature_places(c):
                 for tau in (0.0, 1.0):
                     args = {**where, "place": place, "tau": tau}
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
-                    yield _nameless(c, frame, b, (load, f"temp_{place}_C"), warm)
+                    found.append(_nameless(c, frame, b, (load, f"temp_{place}_C"), warm))
+            yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
+
+
+def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:
+    """Where no sensor says what hangs there, a frame bears the machine's own weight (N,): what depends on it is said to
+    depend on the positions it changes with most."""
+    left = {}
+    for k, name in moving_joints(c):
+        q = c.recording.q[:, k]
+        left[f"q_{name}"] = float(np.var(load - Polynomial.fit(q, load, 3)(q)))
+    positions = sorted(left, key=lambda name: left[name])
+    for candidate in found:
+        beside = [name for name in candidate.covariates if name.startswith("temp_")]
+        names = (*positions[: 1 if beside else 2], *beside)
+        yield replace(candidate, covariate=" × ".join(names), covariates=names)
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:

@@ -150,8 +150,7 @@ def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:
     where = tried.candidates[f.best]
     for g in others:
         there = tried.candidates[g.best]
-        same = (where.frame, where.component) == (there.frame, there.component) and where.component is not None
-        if g.name[0] == "nameless" and same and g.size > RIDDLE * f.size:
+        if g.name[0] == "nameless" and _same_place(where, there) and g.size > RIDDLE * f.size:
             return True
     return False
 
@@ -231,10 +230,14 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
 def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     """What has no name has no near forms either: it leaves something in the same component, over the same columns, and
     over time where it lags."""
-    same_place = (candidate.frame, candidate.component) == (other.frame, other.component)
     over = any(candidate.covariate in name for name in other.covariates)
     lags = candidate.covariate == "time" and any(name.startswith("late_") for name in other.covariates)
-    return same_place or over or lags
+    return _same_place(candidate, other) or over or lags
+
+
+def _same_place(one: Candidate, other: Candidate) -> bool:
+    """Whether both move the same component of the same frame; what is at no frame is nowhere."""
+    return one.component is not None and (one.frame, one.component) == (other.frame, other.component)
 
 
 def _name(tried: Tried, candidate: int) -> Name:

@@ -93,3 +93,14 @@ def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) 
     found, tried = _search(there, ["friction_hysteresis"])
     assert {f.name for f in found} == {("nameless", None)}
     assert any("cov_humidity" in covariate for f in found for covariate in _best(tried, f).covariates)
+
+
+def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
+    """Wherever it turns, with the column that it depends on and at its own place."""
+    bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
+    there = _with(space, Column("frame", "covariate", bend, 3, 4), 1.0)
+    found, tried = _search(there, ["friction_hysteresis", "backlash", "cross_coupling"])
+    assert [f.name for f in found] == [("nameless", None)]
+    best = _best(tried, found[0])
+    assert best.covariates == (f"previous_q_{NAME}",)
+    assert (best.frame, best.component) == (space.machine.frame_names[3], "ry")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -141,6 +143,24 @@ def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_rec
     powers = next(k.columns for k in offered if len(k.columns) == 4)
     scaled = 2 * (now - now.min()) / np.ptp(now) - 1
     assert np.allclose(powers[0].value(c), (3 * scaled**2 - 1) / 2)  # Legendre's second
+
+
+def test_what_depends_on_a_load_that_no_sensor_read_is_said_to_depend_on_positions(space: Workspace) -> None:
+    """Own weight acts there; and whatever is said is a column of the recording."""
+    recording = replace(space.recording, wrench=np.zeros_like(space.recording.wrench), has_wrench=False)
+    everything = np.ones(len(recording), dtype=bool)
+    c = prepare(space.machine, recording, everything).context
+    columns = {f"q_{name}" for name in space.machine.joint_names} | {f"approach_{n}" for n in space.machine.joint_names}
+    columns |= {f"temp_{place}_C" for place in recording.temperatures} | {f"cov_{k}" for k in recording.covariates}
+    columns |= {"time", "load", "settle_s"}
+    offered = nameless(c)
+    assert {column_of(name)[0] for k in offered for name in k.covariates} <= columns
+    bends = [k for k in offered if k.columns[0].function == "load_legendre"]
+    on_j3 = next(k for k in bends if k.frame == "j3")
+    assert set(on_j3.covariates) <= {f"q_{name}" for name in space.machine.joint_names}
+    assert len(on_j3.covariates) == 2
+    warm = next(k for k in offered if k.columns[0].function == "load_warm" and k.frame == "j3")
+    assert [name.partition("_")[0] for name in warm.covariates] == ["q", "temp"]
 
 
 def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_same(space: Workspace) -> None:
