@@ -28,7 +28,7 @@ import numpy as np
 
 from ppshw import __version__
 from ppshw.errors import BadInput, PpshwError
-from ppshw.progress import Bar
+from ppshw.progress import Bar, folded
 from ppshw.whole_file import written_whole
 
 # What the system says of a path that the user gave; any other OSError is a run that failed.
@@ -331,6 +331,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
+    from ppshw.diagnosis.wording import how_sure
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -355,7 +356,7 @@ def diagnose(a: argparse.Namespace) -> None:
         partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
     held = answer["held_out"]
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
-    lines += [f"  {f['sentence']} [weight {f['weight']:.2f}, p {f['p_value']:.1g}]" for f in answer["findings"]]
+    lines += [f"  {f['sentence']} {how_sure(f)}" for f in answer["findings"]]
     if answer["unexplained"] is not None:
         left = answer["unexplained"]
         history = f" ({left['history']})" if left["history"] else ""
@@ -367,7 +368,7 @@ def diagnose(a: argparse.Namespace) -> None:
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
     lines += [f"page {a.page}"] if a.page else []
-    print("\n".join(lines))
+    print(folded(lines))
 
 
 def twin(a: argparse.Namespace) -> None:
@@ -394,7 +395,7 @@ def twin(a: argparse.Namespace) -> None:
               "recording": figures(residuals(recording, calibration)), "twin": twin, "checks": checks}  # fmt: skip
     lines = [f"{a.out}: {len(recording)} visits; residuals of the calibration [mm]", _FIGURE_HEAD]
     lines += [_figure_row(name, answer[name]) for name in ("recording", "twin")]
-    _say(a, answer, "\n".join([*lines, f"the recording is {sentence(checks)}"]))
+    _say(a, answer, folded([*lines, f"the recording is {sentence(checks)}"]))
 
 
 def prove(a: argparse.Namespace) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import secrets
-import textwrap
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,11 +28,13 @@ from ppshw.compensation import Circumstances, Compensator
 from ppshw.demo import POINT, as_wanted, fresh_folder
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.modelled import extended
+from ppshw.diagnosis.wording import how_sure
 from ppshw.errors import BadInput
 from ppshw.evaluation import figures
 from ppshw.identification import identify
 from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
+from ppshw.progress import folded
 from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms.at_hand import Verdict
 from ppshw.terms.effect import instrument_error
@@ -44,7 +45,6 @@ from simulators.hardware import SimulatedHardware, ToConceal
 Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 CAMPAIGNS = {"diagnosis": "diagnosis", "verification": "verification"}
-WIDTH = 80
 ROWS = ("nominal", "base", "extended")
 
 
@@ -195,7 +195,7 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
     """
     truth, found = answer["truth"], answer["findings"]
     lines = ["found"]
-    lines += [f"{f['sentence']} [weight {f['weight']:.2f}, p {f['p_value']:.1g}]" for f in found]
+    lines += [f"{f['sentence']} {how_sure(f)}" for f in found]
     if answer["unexplained"] is not None:
         lines.append(f"structure over {' and '.join(answer['unexplained']['covariates'])} that nothing known explains")
     if len(lines) == 1:
@@ -217,8 +217,7 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
     if answer["instrument_corrected"]:
         lines.append("* readings corrected for what the instrument is found to err")
     head = [f"seal {answer['seal']}"]
-    wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
-    return [*head, *wrapped, seen, *figures_table]
+    return [*head, *folded(lines).splitlines(), seen, *figures_table]
 
 
 def table_rows(answer: Mapping[str, Any]) -> dict[str, dict[str, float]]:

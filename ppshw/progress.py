@@ -1,19 +1,31 @@
-"""A progress bar with time left for whatever takes longer than a second; on stderr, quiet when nobody watches."""
+"""What a terminal is shown: text folded to its width, and a progress bar with time left where something takes longer
+than a second; the bar on stderr, quiet when nobody watches."""
 
 from __future__ import annotations
 
+import textwrap
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from tqdm import tqdm
 
 WIDTH = 79
+COLUMNS = 80
 _COUNTED = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 _FORETOLD = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<LEFT]"
 _TIMED = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]"
+
+
+def folded(lines: Sequence[str]) -> str:
+    """Lines no wider than a terminal of 80 columns; what goes on is indented further than its beginning."""
+    return "\n".join(
+        textwrap.fill(line, COLUMNS, subsequent_indent=" " * (len(line) - len(line.lstrip()) + 2),
+                      break_on_hyphens=False, break_long_words=False)
+        for line in lines
+    )  # fmt: skip
 
 
 class Bar:

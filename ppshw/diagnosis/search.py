@@ -229,10 +229,11 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
 
 def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     """What has no name has no near forms either: it leaves something in the same component, over the same columns, and
-    over time where it lags."""
+    over time where it lags or a reflector wanders."""
     over = any(candidate.covariate in name for name in other.covariates)
-    lags = candidate.covariate == "time" and any(name.startswith("late_") for name in other.covariates)
-    return _same_place(candidate, other) or over or lags
+    slow = any(name.startswith("late_") for name in other.covariates)
+    slow = slow or any(column.function == "target_shift" for column in other.columns)
+    return _same_place(candidate, other) or over or (slow and candidate.covariate == "time")
 
 
 def _same_place(one: Candidate, other: Candidate) -> bool:

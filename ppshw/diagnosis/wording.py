@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ppshw.terms.shapes import named_column
 
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
+WEIGHT_TOLD = 0.1  # on the terminal
 
 
 def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
@@ -46,6 +47,15 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "aliases": [{"effect": effect, "joint": joint} for effect, joint in aliases],
         "sentence": sentence(candidate, values, rms) + alias_words(found.name, aliases),
     }
+
+
+def how_sure(said: Mapping[str, Any]) -> str:
+    """For the terminal: the weight of a finding's name, the likeliest other, how surely there is something."""
+    others = [
+        f", {k['effect'].replace('nameless', 'no name')}{' of ' + k['joint'] if k['joint'] else ''} {k['weight']:.2f}"
+        for k in said["alternatives"][:1] if k["weight"] >= WEIGHT_TOLD
+    ]  # fmt: skip
+    return f"[weight {said['weight']:.2f}{''.join(others)}; p {said['p_value']:.1g}]"
 
 
 def column_of(covariate: str) -> tuple[str, str]:

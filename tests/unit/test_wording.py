@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.wording import column_of, parameters_of, sentence
+from ppshw.diagnosis.wording import column_of, how_sure, parameters_of, sentence
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
+from ppshw.progress import folded
 from ppshw.terms.shapes import Context
 from tests.unit.clean_case import clean_case
 
@@ -40,3 +41,22 @@ def test_history_is_said_in_the_columns_of_the_recording() -> None:
     assert column_of("previous_q_yaw") == ("q_yaw", "of the pose before")
     assert column_of("move_yaw")[0] == "q_yaw"
     assert column_of("temp_air_C") == ("temp_air_C", "")
+
+
+def test_on_the_terminal_a_name_that_is_likely_too_is_told() -> None:
+    said = {"weight": 0.57, "p_value": 1e-9, "alternatives": [{"effect": "backlash", "joint": "pitch", "weight": 0.4}]}
+    assert how_sure(said) == "[weight 0.57, backlash of pitch 0.40; p 1e-09]"
+    said["alternatives"] = [{"effect": "nameless", "joint": None, "weight": 0.05}]
+    assert how_sure(said) == "[weight 0.57; p 1e-09]"
+    said["alternatives"] = [{"effect": "nameless", "joint": None, "weight": 0.15}]
+    assert how_sure(said) == "[weight 0.57, no name 0.15; p 1e-09]"
+
+
+def test_lines_are_folded_to_eighty_columns_and_go_on_indented() -> None:
+    long = "  " + "short-wave structure over q_longitudinal and time; " * 4
+    lines = folded(["plain", long]).splitlines()
+    assert lines[0] == "plain"
+    assert max(map(len, lines)) <= 80
+    assert len(lines) > 3
+    assert all(line.startswith("    ") for line in lines[2:])
+    assert " ".join(" ".join(lines[1:]).split()) == long.strip()
