@@ -12,6 +12,7 @@ from scipy.stats import beta
 
 Json = dict[str, Any]
 EDGES = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, np.inf)  # of √λ
+HALF_POWER = 3.2  # √λ at which a test of exactly the true form finds every other case, family-wise over 35 names
 # Visible strength of an effect: what is left of it once the base model is projected out; and what is left beside a base
 # model that its priors hold back, which is more.
 STRENGTHS = {"sqrt_lambda_free": "√λ after projection", "sqrt_lambda": "√λ beside priors"}
@@ -26,8 +27,7 @@ def summarise(scores: Sequence[Json]) -> Json:
     removed = [s for s in scores if s.get("spec", {}).get("without")]
     scores = [s for s in scores if s not in removed]
     return {
-        "bars": [*_bars(scores), _bar("its name taken out of the library: another name", "at most", 0.10,
-                                      [bool(set(s["wrong"]) - {s["spec"]["without"]}) for s in removed])],
+        "bars": [*_bars(scores), _removed_bar(removed)],
         "removed": [{"effect": s["spec"]["without"], "form": s["truth"][0]["form"], "names": s["wrong"],
                      "unexplained": s["answer"].get("unexplained") is not None,
                      **{k: s["truth"][0].get(k) for k in ("sqrt_lambda", "sqrt_lambda_left")}} for s in removed],
@@ -109,6 +109,17 @@ def _strength_bars(scores: Sequence[Json], key: str, which: str) -> list[Json]:
     met = "open" if half is None else "yes" if half <= 3.8 else "no"
     return [*bars, {"what": f"half power at {which}", "wanted": "at most 3.8", "met": met, "share": half,
                     "text": "no fit" if half is None else f"{half:.1f} (wanted at most 3.8)"}]  # fmt: skip
+
+
+def _removed_bar(removed: Sequence[Json]) -> Json:
+    """Other names for what has none; and how many of them leave so little of the truth that no recording tells."""
+    other = [bool(set(s["wrong"]) - {s["spec"]["without"]}) for s in removed]
+    bar = _bar("its name taken out of the library: another name", "at most", 0.10, other)
+    left = [s["truth"][0].get("sqrt_lambda_left") for s, wrong in zip(removed, other, strict=True) if wrong]
+    bar["nobody_could_tell"] = sum(k is not None and k < HALF_POWER for k in left)
+    if any(other):
+        bar["text"] += f"; {bar['nobody_could_tell']} leave √λ < {HALF_POWER:g}"
+    return bar
 
 
 def _number_bars(scores: Sequence[Json]) -> list[Json]:

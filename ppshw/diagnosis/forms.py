@@ -130,7 +130,8 @@ def _wrench(c: Context, k: Candidate) -> list[Column]:
         ]  # fmt: skip
     if "place" not in args:
         return []
-    return [Column("frames", "sensor_error", {**args, "component": comp}) for comp in range(6)]
+    others = [Column("frames", "sensor_error", {**args, "component": comp}) for comp in range(6)]
+    return [*others, *(Column("frames", "sensor_error", {**args, "tau": tau}) for tau in LAGS_H)]
 
 
 _MAKERS = {

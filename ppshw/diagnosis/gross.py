@@ -16,6 +16,7 @@ from ppshw.diagnosis.workspace import Workspace
 Array = NDArray[np.float64]
 # A visit is wrong when noise would do this to one visit in a thousand recordings.
 GROSS = 1e-3
+OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.005
 PERMUTATIONS = 1999
 
@@ -71,18 +72,22 @@ def gross_errors(space: Workspace) -> GrossErrors:
     )
 
 
-def still_gross(space: Workspace, gross: GrossErrors) -> GrossErrors:
+def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:
     """Those of the visits that stay wrong when what was found is taken into account (`space` has it taken up): a
-    visit may have been odd by an effect that nobody knew yet."""
+    visit may have been odd by an effect that nobody knew yet.
+
+    riddle  rms of structure without a name [m]: a smooth function leaves as much of it, in places several times that
+    """
     if not gross.visits:
         return gross
     left = np.nan_to_num(space.residual())
+    size = np.sqrt((left**2).sum(axis=1) / np.maximum(space.recording.seen.sum(axis=1), 1))
     white = np.einsum("nij,nj->ni", space.root, left)
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)
     scale = float(np.median((distance / chi2.median(freedom))[space.fit]))
     limit = np.maximum(scale * chi2.isf(GROSS / len(distance), freedom), 6.0 * scale * freedom)
-    kept = tuple(v for v in gross.visits if distance[v] > limit[v])
+    kept = tuple(v for v in gross.visits if distance[v] > limit[v] and size[v] > OF_A_RIDDLE * riddle)
     return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})
 
 

@@ -35,12 +35,13 @@ KNOTS = 5  # bumps over the ranks of a column
 
 
 def nameless(c: Context) -> list[Candidate]:
-    """All rivals without a name for a recording; their shares are equal and add up to one."""
-    found = [
-        *_of_one_column(c), *_along_a_joint(c), *_base_in_all_directions(c), *_at_a_moment(c), *_rhythms(c),
-        *_reversals(c), *_under_load(c), *_of_two_columns(c), *_of_three_positions(c), *_at_the_reflectors(c),
-    ]  # fmt: skip
-    return [replace(k, share=1.0 / len(found)) for k in found]
+    """All rivals without a name for a recording: kinds share alike, and candidates in a kind; shares add up to one."""
+    makers = (
+        _of_one_column, _along_a_joint, _base_in_all_directions, _at_a_moment, _rhythms, _reversals, _under_load,
+        _of_what_was_read, _of_two_columns, _of_two_positions, _of_three_positions, _at_the_reflectors,
+    )  # fmt: skip
+    kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
+    return [replace(k, share=1.0 / len(kinds) / len(kind)) for kind in kinds for k in kind]
 
 
 def _nameless(
@@ -208,6 +209,17 @@ def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[C
         yield replace(candidate, covariate=" × ".join(names), covariates=names)
 
 
+def _of_what_was_read(c: Context) -> Iterator[Candidate]:
+    """What hangs there is other than the sensor said, by something that goes with a temperature, however late."""
+    if not c.recording.has_wrench:
+        return
+    for place, component in itertools.product(temperature_places(c), range(6)):
+        args = {"component": component, "place": place}
+        off = tuple(Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H))
+        names = WRENCH_COMPONENTS[component], f"temp_{place}_C"
+        yield Candidate("nameless", None, None, None, " × ".join(names), off, covariates=names)
+
+
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
     joints = [f"q_{name}" for _, name in moving_joints(c)]
     others = ["time", *(s for s in _columns(c) if s.startswith(("temp_", "F", "M")))]
@@ -231,16 +243,26 @@ def _of_two_columns(c: Context) -> Iterator[Candidate]:
     for first, second in smooth:
         for frame, comp in _ends(c)[6:]:
             yield _smooth_pair(c, frame, comp, first, second)
-    for (k, one), (m, other) in itertools.combinations(moving_joints(c), 2):
-        for frame, comp in itertools.product((k + 1, m + 1), range(6)):
-            if frame != c.machine.n:  # the tip has been above
-                yield _smooth_pair(c, frame, comp, f"q_{one}", f"q_{other}")
     known = {*smooth, *((b, a) for a, b in smooth)}
     for first, second in itertools.combinations(_columns(c), 2):
         for frame, comp in _ends(c)[:6] if (first, second) in known else _ends(c):
             args = {"first": first, "second": second, "a": 0, "b": 0, "count": 1}
             product = Column("frame", "covariate_pair", args, frame, comp)
             yield _nameless(c, frame, comp, (first, second), (product,))
+
+
+def _of_two_positions(c: Context) -> Iterator[Candidate]:
+    """Where one of the two joints stands, by any smooth function of both; by a finer one of its own that goes in
+    proportion to the other."""
+    for (k, one), (m, other) in itertools.combinations(moving_joints(c), 2):
+        for frame, comp in itertools.product((k + 1, m + 1), range(6)):
+            if frame != c.machine.n:  # the tip has been above
+                yield _smooth_pair(c, frame, comp, f"q_{one}", f"q_{other}")
+    for (k, one), (m, other) in itertools.permutations(moving_joints(c), 2):
+        for comp in range(6):
+            yield _nameless(c, k + 1, comp, (f"q_{one}", f"q_{other}"), [
+                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": 1}, k + 1, comp) for i in range(7)
+            ])  # fmt: skip
 
 
 def _of_three_positions(c: Context) -> Iterator[Candidate]:

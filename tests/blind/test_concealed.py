@@ -405,10 +405,18 @@ def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
         {"effect": "friction_hysteresis", "joint": "yaw", "weight": 0.9, "covariate": "move_yaw"}]}  # fmt: skip
     unexplained = {**CONSISTENT, "verdict": "unexplained", "unexplained": {"covariates": ["q_yaw"]}}
     spec = {"without": "backlash"}
-    scores = [{"spec": spec, **score_of(about, [truth], answer, None, 1.0)} for answer in (wrong, unexplained)]
-    table = summarise(scores)
+
+    def scored(left: float) -> list[dict[str, Any]]:
+        told = [{**truth, "sqrt_lambda_left": left}]
+        return [{"spec": spec, **score_of(about, told, answer, None, 1.0)} for answer in (wrong, unexplained)]
+
+    table = summarise(scored(7.5))
     bars = by_name(table)
-    assert (bars["its name taken out of the library: another name"]["hits"], len(table["removed"])) == (1, 2)
+    out = bars["its name taken out of the library: another name"]
+    assert (out["hits"], out["nobody_could_tell"], len(table["removed"])) == (1, 0, 2)
+    alike = by_name(summarise(scored(2.0)))["its name taken out of the library: another name"]
+    assert (alike["hits"], alike["nobody_could_tell"], alike["met"]) == (1, 1, "no")
+    assert alike["text"].endswith("; 1 leave √λ < 3.2")
     assert bars["√λ beside priors ≥ 6: detected"]["met"] == "open"
     assert bars["effect of 1 × repeatability: right name"]["met"] == "open"
     assert {c.effect == c.without for c in removed_deck(20, 3)} == {True}
