@@ -35,9 +35,9 @@ TEMPER = 150.0
 # However much a name is ahead of all others, what acts may be something that looks like it and has no name here: of 56
 # names that were given more than 0.95 in a deck of sealed cases (seed 9) six were wrong.
 OUTSIDE = 0.05
-# When all is found, a name stands only if it is ahead of every rival without one by so much, by its own form or with all
-# that it may be like: e² = 7 to 1. Right names of 37 findings in sealed cases (seeds of 14 and 15) were ahead by 3.4 to
-# thousands; of 19 wrong ones, whose right name had been taken out of the library (seeds of 12 to 15), six by less than 2.
+# When all is found, a name stands only if it is ahead of every rival without one by so much, by its own form or with
+# all that it may be like: e² = 7 to 1. Right names of 37 findings in sealed cases (seeds of 14 and 15) were 3.4 ahead
+# or more; of 19 wrong ones, whose right name had been taken out of the library (seeds of 12 to 15), six by less.
 AHEAD = 2.0
 # In five sealed cases of strangers and none of known effects (seeds of 11 and 12) a name stood beside structure without
 # one in the same component of the same frame; sizes were 0.75 to 1.8 times the name's.
@@ -107,9 +107,9 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
 
 
 def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """A name stands while no rival without one says nearly as much in its place as the name does by its bare form or with
-    all its near forms: what any smooth function fits as well is something else. What bears the same name for the same
-    cause elsewhere goes with it, and so does what the others then explain."""
+    """A name stands while no rival without one says nearly as much in its place as the name does by its bare form or
+    with all its near forms: what any smooth function fits as well is something else. What bears the same name for the
+    same cause elsewhere goes with it, and so does what the others then explain."""
     given_up: set[tuple[str, str]] = set()
     freely = tried.names.index(("nameless", None))
     for _ in range(2):
