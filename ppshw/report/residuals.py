@@ -20,6 +20,7 @@ DRAWS = 99  # of the noise band
 FEW = 4  # so many values of a column are drawn as values, not as bins
 SHADES = LinearSegmentedColormap.from_list("strength", ["#ffffff", "#cfe0ee", AFTER, "#3a0d2c"])
 DARKEST = 12.0  # of the map [standard deviations]
+TICKS = 6  # at most along an axis: "1007.25" is wide
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,7 @@ def over(
         reach = 1.15 * max(float(np.quantile(np.abs(values), 0.97)), float(np.abs([*mean, *low, *high]).max()))
         c.axes.set(ylim=(-reach, reach), xlabel=f"{name} {_unit(name, units)}".strip(),
                    ylabel=f"{reading.label} [{reading.unit}]")  # fmt: skip
+        c.axes.locator_params(axis="x", nbins=TICKS)
         c.figure.legend(loc="outside upper center", ncols=4, handletextpad=0.3, columnspacing=1.0)
         out = int(((mean < low) | (mean > high)).sum())
         beyond = int((np.abs(values) > reach).sum())
@@ -208,6 +210,7 @@ def _plane(reading: Reading, first: str, second: str, c: Context, units: dict[st
         mesh = k.axes.pcolormesh(*edges, mean, cmap="RdBu_r", vmin=-reach, vmax=reach)
         k.axes.grid(visible=False)
         k.axes.set(xlabel=f"{first} {_unit(first, units)}".strip(), ylabel=f"{second} {_unit(second, units)}".strip())
+        k.axes.locator_params(axis="x", nbins=TICKS)
         k.figure.colorbar(mesh, ax=k.axes).set_label(f"mean, {reading.label} [{reading.unit}]")
         alt = f"Mean residual in 6 × 6 cells of {first} and {second}, up to {reach:.0f} {reading.unit} either way."
         return k.picture(f"{_name(reading.channel)} over {first} and {second}", alt)
