@@ -398,7 +398,8 @@ def _soft_walls(space: Workspace, tried: Tried, f: Found) -> None:
     play = ("backlash", candidate.joint)
     if candidate.effect != "friction_hysteresis" or play not in tried.names:
         return
-    lost = 2.0 * abs(float(coefficients(space, candidate, f)[0][0]))
+    lag, std, _ = coefficients(space, candidate, f)
+    lost = 2.0 * (abs(float(lag[0])) + float(std[0]))
     if candidate.shape["width"] < SOFT * lost:
         f.weights[play] = max(f.weights.get(play, 0.0), MAY_BE_PLAY * f.weights[f.name])
         total = sum(f.weights.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,11 +12,12 @@ import pytest
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, search
+from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, _soft_walls, search
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
 
+module = importlib.import_module("ppshw.diagnosis.search")
 NAME = "pitch"  # whose travel is short
 
 
@@ -79,6 +81,20 @@ def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(spac
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
+
+
+@pytest.mark.parametrize(("unsure", "may_be"), [(0.0, False), (0.05, True)])
+def test_a_loss_that_is_not_sure_may_be_larger(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, unsure: float, may_be: bool
+) -> None:
+    width = 0.04 * _travel(space)
+    found, tried = _search(_with(space, _on_the_joint(space, "slipping", width=width), 3.0), ["friction_hysteresis"])
+    tried.names.append(("backlash", NAME))
+    lag = np.array([0.05 * width]), np.array([unsure * width]), 0.0
+    monkeypatch.setattr(module, "coefficients", lambda *_: lag)
+    found[0].weights = {found[0].name: 0.95}
+    _soft_walls(space, tried, found[0])
+    assert (("backlash", NAME) in found[0].weights) == may_be
 
 
 def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) -> None:
