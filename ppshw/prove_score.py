@@ -106,11 +106,13 @@ def judge(truth: Sequence[Json], answer: Json) -> Json:
 
     returns per true effect (a list each, in the truth's order)
         named       a finding has its name;       joint_right   and the right joint (None where it was not named)
-        in_aliases  a finding, or one of its alternatives, has its name
+        in_aliases  a finding, one of its alternatives, or one of its aliases (what the recording cannot tell it from)
+                    has its name
         located     the joint or one of the columns it depends on was pointed at, whatever the name
     and of the whole
         detected    something was found;          false_alarm   although there was nothing
         wrong       names that nothing true bears, not even a fair neighbour
+        wrong_apart those of them that say of nothing true that it is their alias
         unknown_ok  all that no catalogue holds was called unexplained, or by a fair neighbour's name; None without such
         weights     [weight, was it right] of every name offered
     """
@@ -122,10 +124,12 @@ def judge(truth: Sequence[Json], answer: Json) -> Json:
     named, joint_right, in_aliases = [], [], []
     for e in truth:
         mine = [f for f in findings if f["effect"] == e["effect"]]
-        offered = [a for f in findings for a in (f, *(f.get("alternatives") or []))]
+        offered = [a for f in findings for a in (f, *(f.get("alternatives") or []), *(f.get("aliases") or []))]
         named.append(bool(mine))
         joint_right.append(any(_joint_agrees(e, f) for f in mine) if mine else None)
         in_aliases.append(any(a["effect"] == e["effect"] for a in offered))
+    wrong = [f for f in findings if f["effect"] not in fair]
+    apart = [f for f in wrong if names.isdisjoint(a["effect"] for a in f.get("aliases") or [])]
     detected = bool(findings) or unexplained is not None or answer["verdict"] != "consistent"
     return {
         "verdict": answer["verdict"],
@@ -135,7 +139,8 @@ def judge(truth: Sequence[Json], answer: Json) -> Json:
         "joint_right": joint_right,
         "in_aliases": in_aliases,
         "located": [_located(e, findings, unexplained) for e in truth],
-        "wrong": sorted({f["effect"] for f in findings} - fair),
+        "wrong": sorted({f["effect"] for f in wrong}),
+        "wrong_apart": sorted({f["effect"] for f in apart}),
         "unknown_ok": all(_unknown_ok(e, findings, answer) for e in strangers) if strangers else None,
         "weights": _weights(truth, findings),
     }

@@ -74,20 +74,24 @@ def gross_errors(space: Workspace) -> GrossErrors:
 
 def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:
     """Those of the visits that stay wrong when what was found is taken into account (`space` has it taken up): a
-    visit may have been odd by an effect that nobody knew yet.
+    visit may have been odd by an effect that nobody knew yet, or by what the effect's form leaves where it is largest:
+    one that is moved further by what was found than it is still off is not simply wrong.
 
     riddle  rms of structure without a name [m]: a smooth function leaves as much of it, in places several times that
     """
     if not gross.visits:
         return gross
     left = np.nan_to_num(space.residual())
-    size = np.sqrt((left**2).sum(axis=1) / np.maximum(space.recording.seen.sum(axis=1), 1))
+    moved = space.taken @ space.coefficients()[1]
+    size, there = (np.linalg.norm(d, axis=1) / np.sqrt(np.maximum(space.recording.seen.sum(axis=1), 1))
+                   for d in (left, moved))  # fmt: skip
     white = np.einsum("nij,nj->ni", space.root, left)
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)
     scale = float(np.median((distance / chi2.median(freedom))[space.fit]))
     limit = np.maximum(scale * chi2.isf(GROSS / len(distance), freedom), 6.0 * scale * freedom)
-    kept = tuple(v for v in gross.visits if distance[v] > limit[v] and size[v] > OF_A_RIDDLE * riddle)
+    wrong = (distance > limit) & (size > np.maximum(there, OF_A_RIDDLE * riddle))
+    kept = tuple(v for v in gross.visits if wrong[v])
     return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})
 
 

@@ -51,6 +51,7 @@ NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # is what the finding's form got wrong, not another effect.
 # A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it.
 SHADOW, OF_A_WAVE = 0.1, 0.2
+AT_ONCE = 0.02  # of the recording's duration: moments that are one
 LOADS = frozenset({
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
 })  # fmt: skip
@@ -219,13 +220,20 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
             candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
         )
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
-        same_cause = candidate.covariate == other.covariate
+        same_cause = candidate.covariate == other.covariate or _at_once(tried, candidate, other)
         riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else 1.0)
         if (same_joint or by_load or same_cause or riddle) and evidence < least:
             return f
     return None
+
+
+def _at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    """Whether both happen at a moment, and at the same: what was knocked is displaced, not lost."""
+    if "time_h" not in one.shape or "time_h" not in other.shape:
+        return False
+    return abs(one.shape["time_h"] - other.shape["time_h"]) < AT_ONCE * float(np.ptp(tried.space.context.hours))
 
 
 def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:

@@ -474,6 +474,10 @@ def test_a_name_with_the_wrong_joint_is_no_right_joint_and_a_wrong_name_is_wrong
         [True],
     )
     assert two["weights"] == [[0.9, False], [0.1, True]]
+    assert two["wrong_apart"] == ["creep"]
+    told = {**wrong, "alternatives": [], "aliases": [{"effect": "backlash", "joint": "yaw"}]}
+    three = judge(truth, {"verdict": "missing_physics", "findings": [told]})
+    assert (three["wrong"], three["wrong_apart"], three["in_aliases"]) == (["creep"], [], [True])
     none = judge([], {"verdict": "unexplained", "findings": [], "unexplained": {"covariates": ["time"]}})
     assert none["false_alarm"]
 

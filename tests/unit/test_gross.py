@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.gross import gross_errors, still_gross
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, still_gross
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
 
@@ -50,3 +50,16 @@ def test_beside_a_riddle_a_visit_must_be_off_by_more_than_it_leaves(bad: Workspa
     gross = gross_errors(bad)
     assert still_gross(aside, gross, riddle=0.1e-3).visits == (BAD,)
     assert still_gross(aside, gross, riddle=0.3e-3).visits == ()
+
+
+@pytest.mark.parametrize(("amount", "kept"), [(0.3e-3, (BAD,)), (1.5e-3, ())])
+def test_a_visit_that_a_finding_moves_further_than_it_is_off_is_what_its_form_leaves(
+    aside: Workspace, amount: float, kept: tuple[int, ...]
+) -> None:
+    """Everything is thrown to and fro along one axis, in a way that no machine does."""
+    sides = np.random.default_rng(3).choice([-1.0, 1.0], size=len(aside.recording))
+    column = np.zeros(aside.data.shape)
+    column[:, ::3] = sides[:, None]
+    shaken = replace(aside, data=aside.data + amount * column)
+    shaken.take_up(column[..., None], np.array([1.0]))
+    assert still_gross(shaken, GrossErrors(visits=(BAD,))).visits == kept

@@ -12,7 +12,7 @@ import pytest
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, _soft_walls, search
+from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, _caster, _soft_walls, search
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
@@ -120,3 +120,18 @@ def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> No
     best = _best(tried, found[0])
     assert best.covariates == (f"previous_q_{NAME}",)
     assert (best.frame, best.component) == (space.machine.frame_names[3], "ry")
+
+
+def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Workspace) -> None:
+    """What is a hundredth of it and happens an hour later is a jump of its own; so is a large one at the same time."""
+    some = [k for k in library(space.context) if k.effect in ("target_moved", "zero_shift") and "time_h" in k.shape]
+    tried = Tried(space, some, 5e-5)
+    knocks = [j for j, k in enumerate(some) if k.effect == "target_moved"]
+    knock = knocks[len(knocks) // 2]
+    moment = some[knock].shape["time_h"]
+    away = np.array([abs(k.shape["time_h"] - moment) if k.effect == "zero_shift" else np.inf for k in some])
+    there, later = int(np.argmin(away)), int(np.argmin(np.abs(away - 1.0)))
+    found = Found(knock, ("target_moved", None), 0.0, 1000.0, first=1000.0)
+    assert _caster(tried, there, 10.0, [found]) is found
+    assert _caster(tried, later, 10.0, [found]) is None
+    assert _caster(tried, there, 500.0, [found]) is None
