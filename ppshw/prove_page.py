@@ -16,7 +16,7 @@ from ppshw.report.picture import AFTER, FAINT, MARK, Picture, canvas
 Json = dict[str, Any]
 STYLE = (
     "body{font:15px sans-serif;max-width:70em;margin:2em auto}"
-    "td,th{padding:.15em .7em;text-align:left}img{max-width:100%}"
+    "td,th{padding:.15em .7em;text-align:left}img{max-width:100%}table{margin-bottom:1em}h2{font-size:1.1em}"
 )
 
 
@@ -27,9 +27,11 @@ def markdown(document: Json) -> str:
         f"{document['cases']} cases, {len(document['lost'])} lost. Shares with their 90 % interval.",
         "",
     ]
-    lines += ["| bar | met | found |", "|---|---|---|"]
+    lines += ["## Bars", "", "| bar | met | found |", "|---|---|---|"]
     lines += [f"| {b['what']} | {b['met']} | {b['text']} |" for b in document["bars"]]
     lines += [
+        "",
+        "## By effect and size",
         "",
         "| effect | size | detected | named | joint | in aliases | wrong name | √λ | bound | realised | s |",
         "|" + "---|" * 11,
@@ -47,7 +49,8 @@ def markdown(document: Json) -> str:
             _number(r["seconds"], ".1f"),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", "| √λ beside priors | detected | bound | named | in aliases | wrong name |", "|" + "---|" * 6]
+    lines += ["", "## By visible strength", ""]
+    lines += ["| √λ beside priors | detected | bound | named | in aliases | wrong name |", "|" + "---|" * 6]
     for r in document["strengths"]:
         span = f"{r['from']:g} and more" if r["to"] is None else f"{r['from']:g} to {r['to']:g}"
         cells = [
@@ -57,13 +60,14 @@ def markdown(document: Json) -> str:
             *(_short(r[k]) for k in ("named", "in_aliases", "wrong")),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", "| weight of a name | mean | right |", "|---|---|---|"]
+    lines += ["", "## Names by their weight", "", "| weight of a name | mean | right |", "|---|---|---|"]
     lines += [
         f"| {r['from']:g} to {r['to']:g} | {r['mean']:.2f} | {percent(r['right'])} |"
         for r in document["weights"]
     ]
     if document["removed"]:
-        lines += ["", "| left out | form | names given | unexplained | √λ | left |", "|" + "---|" * 6]
+        lines += ["", "## Names taken out of the library", ""]
+        lines += ["| left out | form | names given | unexplained | √λ | left |", "|" + "---|" * 6]
     for r in document["removed"]:
         cells = [r["effect"], r["form"], ", ".join(r["names"]) or "–", "yes" if r["unexplained"] else "no"]
         cells += [_number(r["sqrt_lambda"], ".1f"), _number(r["sqrt_lambda_left"], ".1f")]
@@ -143,8 +147,9 @@ def _tables(text: str) -> str:
             cells = "".join(f"<{tag}>{html.escape(c.strip())}</{tag}>" for c in line.strip("|").split("|"))
             out.append(f"{'<table>' if tag == 'th' else ''}<tr>{cells}</tr>")
             out += [] if following.startswith("|") else ["</table>"]
-        elif line.startswith("# "):
-            out.append(f"<h1>{html.escape(line[2:])}</h1>")
+        elif line.startswith("#"):
+            level = line.index(" ")
+            out.append(f"<h{level}>{html.escape(line[level + 1 :])}</h{level}>")
         elif line:
             out.append(f"<p>{html.escape(line)}</p>")
     return "".join(out)
