@@ -28,7 +28,7 @@ import numpy as np
 
 from ppshw.errors import BadInput, PpshwError
 from ppshw.prove_page import write_page
-from ppshw.prove_score import Json, read_answer, score_case
+from ppshw.prove_score import Json, judge, read_answer, score_case
 from ppshw.prove_table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
 from ppshw.whole_file import write_text
@@ -142,6 +142,8 @@ def run_prove(
         task, jobs, cluster=Cluster(workers, scheduler), say=lambda done, total: say("prove", done, total)
     ).lost
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
+    # an earlier program, whose scores are taken up, may have judged by other rules
+    scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
     write_text(out / "prove.json", json.dumps(document, indent=1))
     write_page(out, document, scores)

@@ -121,8 +121,7 @@ def _look(
 
 def _without(space: Workspace) -> Recording:
     """The recording as it would be without what was found."""
-    _, values = space.coefficients()
-    shift = (space.taken @ values).reshape(space.recording.points.shape)  # base axes
+    shift = space.moved().reshape(space.recording.points.shape)
     return replace(space.recording, points=space.recording.points - shift @ space.base.measuring_in_base[:3, :3])
 
 

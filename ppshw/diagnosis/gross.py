@@ -82,9 +82,8 @@ def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> Gr
     if not gross.visits:
         return gross
     left = np.nan_to_num(space.residual())
-    moved = space.taken @ space.coefficients()[1]
-    size, there = (np.linalg.norm(d, axis=1) / np.sqrt(np.maximum(space.recording.seen.sum(axis=1), 1))
-                   for d in (left, moved))  # fmt: skip
+    targets = np.sqrt(np.maximum(space.recording.seen.sum(axis=1), 1))
+    size, there = np.linalg.norm(left, axis=1) / targets, np.linalg.norm(space.moved(), axis=1) / targets
     white = np.einsum("nij,nj->ni", space.root, left)
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)

@@ -45,11 +45,12 @@ def nameless(c: Context) -> list[Candidate]:
 
 
 def _nameless(
-    c: Context, frame: int, comp: int | None, names: tuple[str, ...], columns: Sequence[Column]
+    c: Context, frame: int | None, comp: int | None, names: tuple[str, ...], columns: Sequence[Column]
 ) -> Candidate:  # fmt: skip
+    where = None if frame is None else c.machine.frame_names[frame]
     return Candidate(
-        "nameless", None, c.machine.frame_names[frame], None if comp is None else COMPONENTS[comp], " × ".join(names),
-        tuple(columns), covariates=names,
+        "nameless", None, where, None if comp is None else COMPONENTS[comp], " × ".join(names), tuple(columns),
+        covariates=names,
     )  # fmt: skip
 
 
@@ -215,9 +216,8 @@ def _of_what_was_read(c: Context) -> Iterator[Candidate]:
         return
     for place, component in itertools.product(temperature_places(c), range(6)):
         args = {"component": component, "place": place}
-        off = tuple(Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H))
-        names = WRENCH_COMPONENTS[component], f"temp_{place}_C"
-        yield Candidate("nameless", None, None, None, " × ".join(names), off, covariates=names)
+        off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]
+        yield _nameless(c, None, None, (WRENCH_COMPONENTS[component], f"temp_{place}_C"), off)
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:

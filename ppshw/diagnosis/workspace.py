@@ -136,6 +136,10 @@ class Workspace:
         base = cho_solve(self.factor, self.white.T @ (self.y - self.taken_white @ extra))
         return np.asarray(base), np.asarray(extra)
 
+    def moved(self) -> Array:
+        """(N, 3T) what was taken up does to every visit [m], base axes."""
+        return np.asarray(self.taken @ self.coefficients()[1])
+
     def residual(self) -> Array:
         """(N, 3T) what the fitted model leaves of every visit, held-out ones included [m]; nan where lost."""
         base, extra = self.coefficients()
