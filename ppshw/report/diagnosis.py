@@ -199,18 +199,20 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
         return rows or [("carried", "not by a calibration")]
     rows = [("p, family-wise", f"{said['p_value']:.2g}"), ("weight of the name", f"{said['weight']:.3f}")]
     rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]
-    others = [
-        f"{a['effect'].replace('_', ' ')}{' of ' + a['joint'] if a['joint'] else ''} ({a['weight']:.3f})"
-        for a in said["alternatives"]
-    ]
+    others = [f"{_whose(a)} ({a['weight']:.3f})" for a in said["alternatives"]]
     rows.append(("could also be", ", ".join(others) or "nothing above 1 %"))
+    rows.append(("not to be told from", ", ".join(_whose(a) for a in said["aliases"]) or "nothing here"))
     seen = [
         r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
     ]
     for r in seen[:1]:
         rows.append(("visible share", f"{r['share']:.1%}; found from {r['detectable_mm']:.3f} mm rms on"))
-        rows.append(("aliases here", ", ".join(a.replace("_", " ") for a in r["aliases"]) or "none"))
     return rows
+
+
+def _whose(name: dict[str, Any]) -> str:
+    """An effect and its joint, as a finding's alternatives and aliases are given."""
+    return f"{name['effect'].replace('_', ' ')}{' of ' + name['joint'] if name['joint'] else ''}"
 
 
 def _value(p: dict[str, Any]) -> str:

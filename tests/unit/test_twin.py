@@ -205,6 +205,7 @@ def _diagnosed(rig: Rig) -> Diagnosis:
         "effect": "backlash", "joint": "vertical", "p_value": 1e-9, "weight": 0.98, "rms_mm": 0.08,
         "parameters": {"gap": {"value": 1.6e-4, "std": 1e-5, "unit": "m"}}, "sentence": "vertical lags behind.",
         "alternatives": [{"effect": "friction_hysteresis", "joint": "vertical", "weight": 0.02}],
+        "aliases": [{"effect": "clearance", "joint": "pitch"}],
     }  # fmt: skip
     answer = {
         "visits": VISITS, "noise_floor_mm": 0.05, "verdict": "missing_physics", "findings": [said],
@@ -225,6 +226,7 @@ def test_a_modelled_effect_makes_recording_and_twin_alike_and_the_page_shows_it(
     assert page.count("data:image/svg+xml") >= 6
     assert "The residual depends most on approach_vertical, read as vertical ty" in page
     assert "friction hysteresis of vertical (0.020)" in page
+    assert "<td>clearance of pitch</td>" in page  # the finding's own, where the typical form has none
     without, with_it = re.search(r"([\d.]+) mm without it, ([\d.]+) mm with it", page).groups()  # type: ignore[union-attr]
     assert float(without) > 1.1 * float(with_it)  # √(0.089² + 0.08²) mm, less what the base model takes of it
 
