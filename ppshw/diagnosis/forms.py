@@ -18,6 +18,7 @@ OF_CLASS = {
     "slipping": "friction_hysteresis", "winding": "friction_hysteresis",
     "load_power": "nonlinear_stiffness", "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
+WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
 STEPS = 12  # moments in the recording at which something may go on that began as a jump
 
 
@@ -27,9 +28,13 @@ def near_forms(c: Context, candidate: Candidate, without: frozenset[str] = froze
     if maker is None:
         return ()
     have = set(map(repr, candidate.columns))
-    return tuple(
-        k for k in maker(c, candidate) if repr(k) not in have and OF_CLASS.get(k.function) not in without
-    )
+    return tuple(k for k in maker(c, candidate) if repr(k) not in have and _class(k) not in without)
+
+
+def _class(column: Column) -> str | None:
+    if column.function == "load_side" and column.args["width"] > WIDEST_SIDE:
+        return "nonlinear_stiffness"
+    return OF_CLASS.get(column.function)
 
 
 def _on(candidate: Candidate, function: str, **args: object) -> Column:

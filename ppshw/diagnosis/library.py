@@ -28,6 +28,7 @@ NAMES = (
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
+TAKEN_UP = (0.6, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 
@@ -222,14 +223,22 @@ def _elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
 def _nonlinear(c: Context) -> Iterator[Candidate]:
     for frame, name, acting in _elastic_frames(c):
         for b in acting:
-            for exponent in (0.67, 1.5, 2.0, 3.0):
-                args = {"frame": frame, "component": b, "exponent": exponent}
+            where = {"frame": frame, "component": b}
+            shapes = [("load_power", {"exponent": e}, {"exponent": e}) for e in (0.67, 1.5, 2.0, 3.0)]
+            # slack that is taken up little by little: soft at first, then stiff
+            shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w)) for w in TAKEN_UP]
+            for function, args, shape in shapes:
                 for comp in range(6):
                     yield Candidate(
                         "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
-                        (Column("frame", "load_power", args, frame, comp),), {"exponent": exponent},
+                        (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         1.0 if comp == b else 0.2,
                     )  # fmt: skip
+
+
+def _of_load(c: Context, frame: int, component: int, width: float) -> dict[str, float]:
+    """What a width relative to the load's spread is in N or N m."""
+    return {"load_width": width * float(c.wrenches[:, frame, component].std())}
 
 
 def _clearance(c: Context) -> Iterator[Candidate]:
@@ -248,7 +257,7 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                 for comp in range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
-                        (Column("frame", function, args, frame, comp),), {"width": shape["width"]},
+                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape["width"]),
                         1.0 if comp == b else 0.1,
                     )  # fmt: skip
 

@@ -221,12 +221,27 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         )
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate or _at_once(tried, candidate, other)
+        if by_load and not same_joint and _left_there(tried, other) < SAME_EFFECT * evidence:
+            by_load = same_cause = False
         riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else 1.0)
         if (same_joint or by_load or same_cause or riddle) and evidence < least:
             return f
     return None
+
+
+def _left_there(tried: Tried, other: Candidate) -> float:
+    """Log evidence of the best function of the load that a finding bears, at its own place: what its form leaves of it
+    is one. Infinite for what acts at no single place."""
+    if other.component is None:
+        return math.inf
+    evidence, _ = _names(tried)
+    there = [
+        j for j, k in enumerate(tried.candidates)
+        if k.effect == "nameless" and _same_place(k, other) and k.covariates[0].startswith("on_")
+    ]  # fmt: skip
+    return max((float(evidence[j]) for j in there), default=math.inf)
 
 
 def _at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:

@@ -129,8 +129,10 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names, units = ["dx", "dy", "dz"], ["m"] * 3
     elif candidate.effect == "moving_weight":
         names, units = _weight(candidate, unit)
+    elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
+        names = ["half_slack"]
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
-        load = "N" if candidate.covariate.startswith("F") else "N m"
+        load = _load_unit(candidate.covariate)
         names, units = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))], [
             f"{unit}/({load})"
         ] * len(values)
@@ -143,7 +145,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
     }
     for name, value in candidate.shape.items():
-        out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit)}
+        out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit, candidate.covariate)}
     return out
 
 
@@ -155,8 +157,14 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
     return ["compliance"], [f"{unit}/(N m)"]
 
 
-def _shape_unit(name: str, unit: str) -> str:
+def _shape_unit(name: str, unit: str, covariate: str) -> str:
+    if name == "load_width":
+        return _load_unit(covariate)
     return "h" if name.endswith("_h") else unit if name == "width" else "1"
+
+
+def _load_unit(covariate: str) -> str:
+    return "N" if covariate.startswith("F") else "N m"
 
 
 def _region(space: Workspace, covariate: str) -> list[float] | None:

@@ -135,3 +135,21 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
     assert _caster(tried, there, 10.0, [found]) is found
     assert _caster(tried, later, 10.0, [found]) is None
     assert _caster(tried, there, 500.0, [found]) is None
+
+
+def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
+    """What the form of an effect leaves is at the effect's own place, as a function of the load there."""
+    some = [k for k in library(space.context) if k.effect in ("creep", "wrench_error")] + nameless(space.context)
+    creep = next(j for j, k in enumerate(some) if k.effect == "creep" and k.joint == NAME)
+    tried = Tried(space, some, 5e-5)
+    shows = [float((tried.seen / tried.plain)[tried.index[j]].min()) for j in range(len(some))]
+    misread = max((j for j, k in enumerate(some) if k.effect == "wrench_error"), key=lambda j: shows[j])
+    found = Found(creep, ("creep", NAME), 0.0, 1000.0, first=1000.0)
+    frame, component = some[creep].columns[0].frame, some[creep].columns[0].component
+    where = {"frame": frame, "component": component, "order": 3}
+    left = _with(space, Column("frame", "load_legendre", where, frame, component), 1.0)
+    assert _caster(Tried(left, some, 5e-5), misread, 10.0, [found]) is found
+    assert _caster(tried, misread, 10.0, [found]) is None
+    both = _with(_with(space, some[creep].columns[0], 10.0), some[misread].columns[0], 2.0)
+    names = {f.name for f in _search(both, ["creep", "wrench_error"])[0]}
+    assert names == {("creep", NAME), ("wrench_error", None)}
