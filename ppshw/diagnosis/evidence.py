@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.stats import gumbel_r
 
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
@@ -27,6 +26,7 @@ from ppshw.terms.shapes import Column
 Array = NDArray[np.float64]
 AMPLITUDES = (1 / 3, 1.0, 3.0)
 DRAWS = 199
+TOP = 3  # of these, by which their tail is laid
 LEAST_SHARE = 3e-4
 # Nameless rivals bend as they need; a name has the bare form of the library. One that explains nearly as much is the
 # better explanation: real forms differ from the library's by this share of the evidence or so (a guess, seen to be
@@ -242,12 +242,13 @@ def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array,
 
 
 def p_value(observed: float, null: Array) -> float:
-    """Share of the null at or above what was observed; beyond its range by a Gumbel tail fitted to it."""
+    """Share of the null at or above what was observed. Beyond all but TOP of its draws it falls by e per unit of log
+    evidence, and not faster: odds of k to 1 come from nothing at most once in k times (Markov's inequality)."""
     counted = (1 + int((null >= observed).sum())) / (len(null) + 1)
-    if counted > 3 / (len(null) + 1):
+    least = (1 + TOP) / (len(null) + 1)
+    if counted > least:
         return float(counted)
-    location, scale = gumbel_r.fit(null)
-    return float(min(counted, max(gumbel_r.sf(observed, location, scale), 1e-300)))
+    return float(max(least * np.exp(min(np.sort(null)[-TOP] - observed, 0.0)), 1e-300))
 
 
 def corrected_residual(space: Workspace) -> Array:
