@@ -18,6 +18,7 @@ from ppshw.terms.shapes import named_column
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
 WEIGHT_TOLD = 0.1  # on the terminal
+LEAST_P = 1e-12
 
 
 def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
@@ -55,7 +56,12 @@ def how_sure(said: Mapping[str, Any]) -> str:
         f", {k['effect'].replace('nameless', 'no name')}{' of ' + k['joint'] if k['joint'] else ''} {k['weight']:.2f}"
         for k in said["alternatives"][:1] if k["weight"] >= WEIGHT_TOLD
     ]  # fmt: skip
-    return f"[weight {said['weight']:.2f}{''.join(others)}; p {said['p_value']:.1g}]"
+    return f"[weight {said['weight']:.2f}{''.join(others)}; p {how_rare(said['p_value'])}]"
+
+
+def how_rare(p: float) -> str:
+    """A probability for the eye: nobody knows noise well enough to tell smaller ones apart."""
+    return f"{p:.1g}" if p >= LEAST_P else f"< {LEAST_P:.0e}"
 
 
 def column_of(covariate: str) -> tuple[str, str]:

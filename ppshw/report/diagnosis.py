@@ -18,6 +18,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
 from ppshw.diagnosis.search import Found
+from ppshw.diagnosis.wording import how_rare
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
 from ppshw.report import residuals
@@ -79,6 +80,7 @@ def render(diagnosis: Diagnosis, now: datetime) -> str:
         checks_picture=residuals.checks_picture(answer["checks"]["before"], answer["checks"]["after"]),
         said={when: sentence(answer["checks"][when]) for when in ("before", "after")},
         odd=ODD,
+        how_rare=how_rare,
     )
 
 
@@ -197,7 +199,7 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
             over = " and ".join(c["length"])
             rows.append(("carried as", f"a Gaussian process of {over}: {c['frame']} {', '.join(c['components'])}"))
         return rows or [("carried", "not by a calibration")]
-    rows = [("p, family-wise", f"{said['p_value']:.2g}"), ("weight of the name", f"{said['weight']:.3f}")]
+    rows = [("p, family-wise", how_rare(said["p_value"])), ("weight of the name", f"{said['weight']:.3f}")]
     rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]
     others = [f"{_whose(a)} ({a['weight']:.3f})" for a in said["alternatives"]]
     rows.append(("could also be", ", ".join(others) or "nothing above 1 %"))

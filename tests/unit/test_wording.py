@@ -50,6 +50,7 @@ def test_on_the_terminal_a_name_that_is_likely_too_is_told() -> None:
     assert how_sure(said) == "[weight 0.57; p 1e-09]"
     said["alternatives"] = [{"effect": "nameless", "joint": None, "weight": 0.15}]
     assert how_sure(said) == "[weight 0.57, no name 0.15; p 1e-09]"
+    assert how_sure({**said, "p_value": 1e-80}) == "[weight 0.57, no name 0.15; p < 1e-12]"
 
 
 def test_lines_are_folded_to_eighty_columns_and_go_on_indented() -> None:
