@@ -32,6 +32,7 @@ def near_forms(c: Context, candidate: Candidate, without: frozenset[str] = froze
 
 
 def _class(column: Column) -> str | None:
+    """The effect whose own form a column is, if it is one's."""
     if column.function == "load_side" and column.args["width"] > WIDEST_SIDE:
         return "nonlinear_stiffness"
     return OF_CLASS.get(column.function)

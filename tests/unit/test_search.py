@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
 from ppshw.diagnosis.library import Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, _caster, _soft_walls, search
+from ppshw.diagnosis.wording import parameters_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
@@ -153,3 +155,28 @@ def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(s
     both = _with(_with(space, some[creep].columns[0], 10.0), some[misread].columns[0], 2.0)
     names = {f.name for f in _search(both, ["creep", "wrench_error"])[0]}
     assert names == {("creep", NAME), ("wrench_error", None)}
+
+
+def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_change_of_sides_is_clearance(
+    space: Workspace,
+) -> None:
+    k = space.machine.joint_names.index("yaw") + 1
+    for width, effect in ((0.9, "nonlinear_stiffness"), (0.1, "clearance")):
+        column = Column("frame", "load_side", {"frame": k, "component": 3, "width": width}, k, 3)
+        found, tried = _search(_with(space, column, 5.0), ["nonlinear_stiffness", "clearance"])
+        assert [f.name[0] for f in found] == [effect]
+        candidate = _best(tried, found[0])
+        said = parameters_of(candidate, np.array([1e-4]), np.array([1e-5]))
+        own = candidate.columns[0].args
+        spread = float(space.context.wrenches[:, own["frame"], own["component"]].std())
+        assert (said["load_width"]["value"], said["load_width"]["unit"]) == (own["width"] * spread, "N m")
+
+
+def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Workspace) -> None:
+    clearance = next(k for k in library(space.context) if k.effect == "clearance")
+
+    def widths(without: frozenset[str]) -> set[float]:
+        near = near_forms(space.context, clearance, without)
+        return {column.args["width"] for column in near if column.function == "load_side"}
+
+    assert max(widths(frozenset())) > WIDEST_SIDE >= max(widths(frozenset({"nonlinear_stiffness"})))
