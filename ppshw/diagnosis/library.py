@@ -17,7 +17,8 @@ from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
-CREEP_H = (0.05, 0.15, 0.4, 1.0, 3.0)
+CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (
@@ -28,7 +29,7 @@ NAMES = (
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
-TAKEN_UP = (0.6, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
+TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
 OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 
 
@@ -224,7 +225,7 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
     for frame, name, acting in _elastic_frames(c):
         for b in acting:
             where = {"frame": frame, "component": b}
-            shapes = [("load_power", {"exponent": e}, {"exponent": e}) for e in (0.67, 1.5, 2.0, 3.0)]
+            shapes = [("load_power", {"exponent": e}, {"exponent": e}) for e in (0.67, 0.8, 1.5, 2.0, 3.0)]
             # slack that is taken up little by little: soft at first, then stiff
             shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w)) for w in TAKEN_UP]
             for function, args, shape in shapes:
@@ -342,19 +343,25 @@ def temperature_places(c: Context) -> list[str]:
 def _creep(c: Context) -> Iterator[Candidate]:
     if len(set(c.recording.load)) < 2:
         return
-    for tau in CREEP_H:
-        for form, half in (("exponential", 1.0), ("log", 1.0), ("wrench", 0.5), ("total", 0.5)):
-            shape = {"tau_h": tau}
-            whole = Column("frames", "creep", {"tau": tau, "form": form})
-            yield Candidate("creep", None, None, None, "since_load_change", (whole,), shape, 2.0 * half)
-            for frame, name, acting in _elastic_frames(c):
-                for b in acting:
-                    args = {"frame": frame, "component": b, "tau": tau, "form": form}
-                    column = Column("frame", "creeping", args, frame, b)
-                    yield Candidate(
-                        "creep", name, name, COMPONENTS[b], "since_load_change", (column,), shape,
-                        half if b > 2 else 0.3 * half,
-                    )  # fmt: skip
+    forms: tuple[tuple[str, float], ...] = (("exponential", 1.0), ("log", 1.0), ("wrench", 0.5), ("total", 0.5))
+    if not c.recording.has_wrench:  # the machine's own weight is all that is known
+        forms = forms[-1:]
+    # alone, or beside one that creeps on where it has come to rest, as in load cells
+    rates: list[tuple[float, ...]] = [(tau,) for tau in CREEP_H]
+    rates += zip(CREEP_H, CREEP_H[SLOWER:], strict=False)
+    ways = [(form, half, taus) for taus in rates for form, half in forms if form != "log" or len(taus) == 1]
+    for form, half, taus in ways:
+        shape = dict(zip(("tau_h", "slow_tau_h"), taus, strict=False))
+        whole = tuple(Column("frames", "creep", {"tau": tau, "form": form}) for tau in taus)
+        yield Candidate("creep", None, None, None, "since_load_change", whole, shape, 2.0 * half)
+        for frame, name, acting in _elastic_frames(c):
+            for b in acting:
+                where = {"frame": frame, "component": b, "form": form}
+                columns = tuple(Column("frame", "creeping", {**where, "tau": tau}, frame, b) for tau in taus)
+                yield Candidate(
+                    "creep", name, name, COMPONENTS[b], "since_load_change", columns, shape,
+                    half if b > 2 else 0.3 * half,
+                )  # fmt: skip
 
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:

@@ -25,12 +25,16 @@ from ppshw.diagnosis.library import (
 )
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import Column, Context, named_column
 
 Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
 RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
+SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
+SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
+ABOUT_ZERO = 9  # bumps over what is finest about zero
+OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
 KNOTS = 5  # bumps over the ranks of a column
 
 
@@ -38,7 +42,8 @@ def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind; shares add up to one."""
     makers = (
         _of_one_column, _along_a_joint, _base_in_all_directions, _at_a_moment, _rhythms, _reversals, _under_load,
-        _of_what_was_read, _of_two_columns, _of_two_positions, _of_three_positions, _at_the_reflectors,
+        _of_what_was_read, _pulls, _own_heat, _of_two_columns, _finely, _of_two_positions,
+        _of_three_positions, _at_the_reflectors,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
     return [replace(k, share=1.0 / len(kinds) / len(kind)) for kind in kinds for k in kind]
@@ -171,6 +176,10 @@ def _reversals(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (came,), (side,))
             yield _nameless(c, frame, comp, (came, way), since)
             yield _nameless(c, frame, comp, (came, way), (*since, *where))
+            args = {"joint": k, "count": ABOUT_ZERO}
+            yield _nameless(c, frame, comp, (came, way), [
+                Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
+            ])  # fmt: skip
 
 
 def _under_load(c: Context) -> Iterator[Candidate]:
@@ -181,12 +190,21 @@ def _under_load(c: Context) -> Iterator[Candidate]:
             late = [f"late_{tau:g}_{load}" for tau in LOAD_LATE_H]
             where = {"frame": frame, "component": b}
             powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
+            about_zero = [
+                Column("frame", "load_bump", {**where, "knot": k, "count": ABOUT_ZERO}, frame, b)
+                for k in range(ABOUT_ZERO)
+            ]
+            slips = [Column("frame", "load_slip", {**where, "width": w}, frame, b) for w in SLIPS]
+            sides = [Column("frame", "load_side_held", {**where, "width": w}, frame, b) for w in SIDES]
             lagging = [Column("frame", "covariate", {"name": name}, frame, b) for name in late]
             found = [
                 _nameless(c, frame, b, (load,), _bumps(load, frame, b)),
                 _nameless(c, frame, b, (load,), powers),
                 _nameless(c, frame, b, (load, late[1]), lagging),
                 _smooth_pair(c, frame, b, load, f"previous_{load}"),
+                _nameless(c, frame, b, (load,), about_zero),
+                _nameless(c, frame, b, (load, f"previous_{load}"), slips),
+                _nameless(c, frame, b, (load, f"previous_{load}"), sides),
             ]
             for place in temperature_places(c):
                 for tau in (0.0, 1.0):
@@ -199,25 +217,65 @@ def _under_load(c: Context) -> Iterator[Candidate]:
 def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:
     """Where no sensor says what hangs there, a frame bears the machine's own weight (N,): what depends on it is said to
     depend on the positions it changes with most."""
-    left = {}
-    for k, name in moving_joints(c):
-        q = c.recording.q[:, k]
-        left[f"q_{name}"] = float(np.var(load - Polynomial.fit(q, load, 3)(q)))
-    positions = sorted(left, key=lambda name: left[name])
+    positions = _most_alike(c, load)
     for candidate in found:
         beside = [name for name in candidate.covariates if name.startswith("temp_")]
         names = (*positions[: 1 if beside else 2], *beside)
         yield replace(candidate, covariate=" × ".join(names), covariates=names)
 
 
+def _most_alike(c: Context, values: Array) -> tuple[str, ...]:
+    """Positions, the one first that says most of what values (N,) are."""
+    left = {}
+    for k, name in moving_joints(c):
+        q = c.recording.q[:, k]
+        left[f"q_{name}"] = float(np.var(values - Polynomial.fit(q, values, 3)(q)))
+    return tuple(sorted(left, key=lambda name: left[name]))
+
+
 def _of_what_was_read(c: Context) -> Iterator[Candidate]:
-    """What hangs there is other than the sensor said, by something that goes with a temperature, however late."""
+    """What hangs there is other than the sensor said, by something that goes with a temperature, however late, or by a
+    smooth function of a position or of what the sensor read besides."""
     if not c.recording.has_wrench:
         return
     for place, component in itertools.product(temperature_places(c), range(6)):
         args = {"component": component, "place": place}
         off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]
         yield _nameless(c, None, None, (WRENCH_COMPONENTS[component], f"temp_{place}_C"), off)
+    read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
+    warm = [f"temp_{place}_C" for place in temperature_places(c)]
+    others = [f"q_{joint}" for _, joint in moving_joints(c)] + [WRENCH_COMPONENTS[k] for k in read]
+    for component, name in itertools.product(range(6), others):
+        if name != WRENCH_COMPONENTS[component]:
+            args = {"component": component, "name": name, "count": 3}
+            yield _nameless(c, None, None, (WRENCH_COMPONENTS[component], name), [
+                Column("frames", "sensor_off", {**args, "knot": k}) for k in range(3)
+            ])  # fmt: skip
+    for name, components in itertools.product([*others, *warm], (range(3), range(3, 6))):
+        args = {"name": name, "knot": 0, "count": 1}
+        leaks = [Column("frames", "sensor_off", {**args, "component": k}) for k in components]
+        yield _nameless(c, None, None, (name,), leaks)
+
+
+def _pulls(c: Context) -> Iterator[Candidate]:
+    """Something pulls at the end effector, the more the farther it reaches: hoses, cables."""
+    reach = named_column(c, "reach")
+    nearest = _most_alike(c, reach)[:2]
+    for axis in range(4):
+        pull = [Column("frames", "pulled", {"axis": axis, "knot": k, "count": 3}) for k in range(3)]
+        yield replace(_nameless(c, None, None, ("reach",), pull), covariate=" × ".join(nearest), covariates=nearest)
+
+
+def _own_heat(c: Context) -> Iterator[Candidate]:
+    """A drive warms by its own work where no thermometer is."""
+    for (k, name), tau in itertools.product(moving_joints(c), LATE_H):
+        pace = f"late_{tau:g}_pace_{name}"
+        for comp in range(6):
+            args = {"first": pace, "second": f"q_{name}", "a": 0, "b": 0, "count": 1}
+            yield _nameless(c, k + 1, comp, (pace, f"q_{name}"), [
+                Column("frame", "covariate", {"name": pace}, k + 1, comp),
+                Column("frame", "covariate_pair", args, k + 1, comp),
+            ])  # fmt: skip
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
@@ -251,6 +309,18 @@ def _of_two_columns(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (first, second), (product,))
 
 
+def _finely(c: Context) -> Iterator[Candidate]:
+    """A function of one position finer than the base model's, octave by octave."""
+    for k, name in moving_joints(c):
+        span = float(np.ptp(c.recording.q[:, k]))
+        for comp, least in itertools.product(range(6), OCTAVES):
+            waves = [
+                Column("frame", "wave", {"joint": k, "period": 2 * span / j, "phase": phase}, k + 1, comp)
+                for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
+            ]  # fmt: skip
+            yield _nameless(c, k + 1, comp, (f"q_{name}",), waves)
+
+
 def _of_two_positions(c: Context) -> Iterator[Candidate]:
     """Where one of the two joints stands, by any smooth function of both; by a finer one of its own that goes in
     proportion to the other."""
@@ -282,6 +352,12 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for j, a in itertools.product(range(5), range(3))
             )
             yield Candidate("nameless", None, None, None, name, moves)
+    for angle in ("azimuth", "elevation"):
+        off = tuple(
+            Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})
+            for order in (1, 2) for phase in ("sin", "cos")
+        )  # fmt: skip
+        yield Candidate("nameless", None, None, None, angle, off)
     for place in ("", *temperature_places(c)):
         stretched = tuple(
             Column("points", "strain", {"first": a, "second": b, "place": place})

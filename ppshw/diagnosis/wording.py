@@ -13,6 +13,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import Found, coefficients
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import named_column
 
 Array = NDArray[np.float64]
@@ -77,6 +78,8 @@ def column_of(covariate: str) -> tuple[str, str]:
         return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
     if covariate.startswith("way_"):
         return f"q_{covariate.removeprefix('way_')}", "way since it turned back"
+    if covariate.startswith("pace_"):
+        return f"q_{covariate.removeprefix('pace_')}", "how much it was moved"
     if covariate.startswith("late_"):
         tau, late = covariate.removeprefix("late_").split("_", 1)
         column, how = column_of(late)
@@ -145,7 +148,9 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "clearance":
         names = ["half_gap"]
     elif candidate.effect == "creep":
-        names, units = (["share"], ["1"]) if candidate.joint is None else (["compliance"], [f"{unit}/(N m)"])
+        load = _load_unit(WRENCH_COMPONENTS[candidate.columns[0].component])
+        name, of = ("share", "1") if candidate.joint is None else ("compliance", f"{unit}/({load})")
+        names, units = [name, f"slow_{name}"][: len(values)], [of] * len(values)
     out: dict[str, dict[str, Any]] = {
         name: {"value": float(v * f), "std": float(s * abs(f)), "unit": u}
         for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)

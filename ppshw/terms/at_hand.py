@@ -29,11 +29,12 @@ from ppshw.terms.shapes import Column, Context, compliances
 Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
-AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load", "load_q",
-                     "load_power", "load_side", "load_warm", "own_weight", "hanging", "pair", "product", "body_weight",
-                     "sensor_error", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
+AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load",
+                     "load_q", "load_power", "load_side", "load_bump", "load_legendre", "load_warm",
+                     "own_weight", "hanging", "pair", "product", "body_weight", "sensor_error", "sensor_off",
+                     "pulled", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
                      "instead"})  # fmt: skip
-FROM_APPROACH = frozenset({"approach", "approach_q", "slipping", "winding"})
+FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)

@@ -36,6 +36,7 @@ from ppshw.terms.history import (
 )  # fmt: skip
 
 Array = NDArray[np.float64]
+LEAST_H = 1e-4  # between two visits
 QUANTILES = 41  # that the ranks of a column are kept by
 FunctionOfVisits = Callable[..., Array]
 
@@ -166,6 +167,15 @@ def reversal(c: Context, joint: int, knot: int, count: int) -> Array:
     return approach(c, joint) * covariate(c, f"way_{c.machine.joint_names[joint]}", knot, count)
 
 
+def turning(c: Context, joint: int, knot: int, count: int) -> Array:
+    """As `reversal`, finest where the joint has just turned back: bumps over the root of the way since."""
+    q = c.recording.q[:, joint]
+    way = way_since_reversal(q, c.recording.approach[:, joint])
+    far = max(c.frozen(f"high.{joint}", q.max()) - c.frozen(f"low.{joint}", q.min()), 1e-9)
+    at = np.sqrt(np.minimum(way / far, 1.0))
+    return np.asarray(approach(c, joint) * np.exp(-0.5 * ((at - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
+
+
 def slipping(c: Context, joint: int, width: float) -> Array:
     return slip(c.recording.q[:, joint], c.recording.approach[:, joint], width)
 
@@ -256,6 +266,24 @@ def load_side_held(c: Context, frame: int, component: int, width: float) -> Arra
     return side_held(w, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
 
 
+def load_bump(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
+    """A smooth function of a component of the wrench on a frame, finest where it changes sign: the knot-th of `count`
+    Gaussian bumps over ± the root of its size."""
+    w = c.wrenches[:, frame, component]
+    most = max(c.frozen(f"most.{frame}.{component}", float(np.abs(w).max())), 1e-9)
+    at = np.sign(w) * np.sqrt(np.minimum(np.abs(w) / most, 1.0))
+    return np.asarray(np.exp(-0.5 * ((at + 1.0 - 2.0 * knot / (count - 1)) * (count - 1) / 2.4) ** 2))
+
+
+def load_slip(c: Context, frame: int, component: int, width: float) -> Array:
+    """A slipping spring (`slip`) driven by a component of the wrench on a frame, width relative to the load's spread:
+    any hysteresis of a load is a sum of such, unless it depends on how fast the load changes."""
+    w = c.wrenches[:, frame, component]
+    began = np.zeros(len(w), dtype=np.int64)  # a load comes from the side that it goes to
+    began[:1] = np.sign(w[:1])
+    return slip(w, began, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
+
+
 def load_warm(c: Context, frame: int, component: int, place: str, tau: float, width: float = 0.0) -> Array:
     """A component of the wrench on a frame, relative to its spread, or which side the joint falls to by it (width as in
     `load_side`), times a temperature lagged by tau hours: what gives way differently as it warms."""
@@ -332,7 +360,8 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
-    turned back), load and former_load (mass of this payload and of the one before, kg), previous_<column> (at the visit
+    turned back), pace_<joint> (way a joint went since the visit before, per hour), reach (from the base to the last
+    frame), load and former_load (mass of this payload and of the one before, kg), previous_<column> (at the visit
     before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
@@ -346,6 +375,11 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("move_"):
         q = r.q[:, joints.index(name[5:])]
         return np.concatenate([[0.0], np.diff(q)])
+    if name.startswith("pace_"):
+        gone = np.abs(np.diff(r.q[:, joints.index(name[5:])]))
+        return np.concatenate([[0.0], gone / np.maximum(np.diff(c.hours), LEAST_H)])
+    if name == "reach":
+        return np.asarray(np.linalg.norm(c.chain[:, -1, :3, 3] - c.chain[:, 0, :3, 3], axis=1))
     if name.startswith("way_"):
         k = joints.index(name[4:])
         return way_since_reversal(r.q[:, k], r.approach[:, k])
@@ -448,6 +482,24 @@ def sensor_error(
     return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
 
 
+def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> Array:
+    """Deflection wrongly expected when a component of the sensor is off by a smooth function of any column, see
+    `covariate`."""
+    wrench = np.zeros((len(c.recording), 6))
+    wrench[:, component] = covariate(c, name, knot, count)
+    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
+
+
+def pulled(c: Context, axis: int, knot: int, count: int) -> Array:
+    """Deflection by a force of 1 N on the end effector, along an axis of the base (0, 1, 2) or towards it (3), times a
+    smooth function of how far it reaches, see `covariate`."""
+    sensor = (c.chain[:, -1] @ c.machine.sensor_in_link)[:, :3, :3]
+    to = c.chain[:, 0, :3, 3] - c.chain[:, -1, :3, 3] if axis == 3 else c.chain[:, 0, :3, axis]
+    force = to / np.linalg.norm(to, axis=1, keepdims=True) * covariate(c, "reach", knot, count)[:, None]
+    wrench = np.concatenate([np.einsum("nji,nj->ni", sensor, force), np.zeros_like(force)], axis=1)
+    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
+
+
 def _turned(frame: Array, force: Array, moment: Array) -> Array:
     """Force and moment (N, 3) from base axes into a frame's: (N, 6)."""
     into = np.swapaxes(frame[:, :3, :3], 1, 2)
@@ -534,6 +586,24 @@ def _rays(c: Context, place: str) -> Array:
     return np.asarray(rays * temperature(c, place, 0.0)[:, None, None] if place else rays)
 
 
+def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
+    """The instrument's azimuth or elevation off by the sine or cosine of `order` times itself: its encoders' error. Its
+    standing axis is taken for plumb."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    ahead = c.measuring_in_base[:3, 0] if abs(c.measuring_in_base[:3, 0] @ up) < 0.9 else c.measuring_in_base[:3, 1]
+    ahead = ahead - (ahead @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    height = rays @ up
+    level = rays - height[..., None] * up
+    away = np.maximum(np.linalg.norm(level, axis=2), 1e-9)
+    if angle == "azimuth":
+        at, moves = np.arctan2(rays @ np.cross(up, ahead), rays @ ahead), np.cross(up, level)
+    else:
+        at, moves = np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
+    return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
+
+
 def target_shift(c: Context, target: int, axis: int, since: float = -1.0, order: int = 0) -> Array:
     """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start); or in
     the `order`-th half wave over the recording."""
@@ -549,9 +619,10 @@ def target_shift(c: Context, target: int, axis: int, since: float = -1.0, order:
 FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
-        approach, approach_q, reversal, slipping, winding, temperature, temperature_q, link_growth, clock, clock_q,
-        step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_warm, load_legendre,
-        creeping, own_weight, hanging, pair, product, covariate, covariate_pair, creep, body_weight, sensor_error,
-        scale, strain, target_shift, unexplained, instead, model_shift,
+        approach, approach_q, reversal, turning, slipping, winding, temperature, temperature_q, link_growth, clock,
+        clock_q, step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_bump, load_slip,
+        load_warm, load_legendre, creeping, own_weight, hanging, pair, product, covariate, covariate_pair, creep,
+        body_weight, sensor_error, sensor_off, pulled, scale, strain, angle_error, target_shift, unexplained, instead,
+        model_shift,
     )
 }  # fmt: skip

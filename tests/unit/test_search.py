@@ -172,6 +172,32 @@ def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_
         assert (said["load_width"]["value"], said["load_width"]["unit"]) == (own["width"] * spread, "N m")
 
 
+def test_a_side_that_is_held_until_a_load_pushes_it_over_is_no_stiffness_where_clearance_is_left_out(
+    space: Workspace,
+) -> None:
+    k = space.machine.joint_names.index("longitudinal") + 1
+    column = Column("frame", "load_side_held", {"frame": k, "component": 3, "width": 0.35}, k, 3)
+    there = _with(space, column, 5.0)
+    found, tried = _search(there, ["nonlinear_stiffness"])
+    assert [f.name for f in found] == [("nameless", None)]
+    assert _best(tried, found[0]).covariates[0].startswith("on_")
+    found, _ = _search(there, ["nonlinear_stiffness", "clearance"])
+    assert [f.name[0] for f in found] == ["clearance"]
+
+
+def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Workspace) -> None:
+    """Ten waves over the travel, steep on one side."""
+    joint = space.machine.joint_names.index(NAME)
+    q = space.recording.q[:, joint]
+    period = float(np.ptp(q)) / 10
+    tooth = np.abs((q / period) % 1.0 - 0.2)
+    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * tooth[:, None]
+    moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["cross_coupling", "moving_weight"])
+    assert {f.name for f in found} == {("nameless", None)}
+    assert _best(tried, found[0]).covariates == (f"q_{NAME}",)
+
+
 def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Workspace) -> None:
     clearance = next(k for k in library(space.context) if k.effect == "clearance")
 

@@ -14,7 +14,7 @@ from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.terms.shapes import Column, named_column
+from ppshw.terms.shapes import Column, Context, covariate, named_column
 from tests.unit.clean_case import clean_case
 
 
@@ -116,6 +116,10 @@ def test_what_has_no_name_may_remember_reversals_and_loads_or_sit_at_a_reflector
     bumps = next(k.columns for k in offered if k.covariate == "approach_j2 × way_j2" and len(k.columns) == 5)
     side = Column("frame", "approach", {"joint": 1}, 2, 5).value(c)
     assert np.allclose(sum(b.value(c) for b in bumps) * side, 2.0, atol=1.0)
+    finest = next(k.columns for k in offered if k.columns[0].function == "turning" and k.frame == "j2")
+    values = np.stack([b.value(c) for b in finest]) * side
+    assert np.allclose(values.sum(axis=0), values.sum(axis=0).mean(), rtol=0.5)
+    assert (values >= 0).all()
     stretched = next(k.columns for k in offered if k.covariate == "distance")
     even = sum(k.value(c) for k in stretched if k.args["first"] == k.args["second"])
     assert np.allclose(even, Column("points", "scale", {}).value(c))
@@ -123,6 +127,95 @@ def test_what_has_no_name_may_remember_reversals_and_loads_or_sit_at_a_reflector
     values = np.stack([k.value(c) for k in wanders])
     assert not values[:, :, [0, 2]].any()
     assert np.allclose(np.linalg.norm(values[:3, :, 1], axis=2), 1.0)
+
+
+def test_what_has_no_name_may_be_a_hysteresis_of_a_load_or_a_fine_function(space: Workspace) -> None:
+    c = space.context
+    w = c.wrenches[:, 2, 4]
+    width = 0.3 * float(w.std())
+    # what a slipping spring does not follow is play: held while the load stays within ± its width
+    held = w[0] - np.sign(w[0]) * width
+    left = []
+    for load in w:
+        held = min(max(held, load - width), load + width)
+        left.append((load - held) / width)
+    slips = Column("frame", "load_slip", {"frame": 2, "component": 4, "width": 0.3}, 2, 4).value(c)
+    assert np.allclose(slips, left, atol=1e-3)
+    assert 0.05 < np.mean(np.abs(slips) < 0.9) < 0.95
+    offered = nameless(c)
+    with_history = ("on_j2_My", "previous_on_j2_My")
+    mine = [k for k in offered if k.covariates == with_history]
+    assert {k.columns[0].function for k in mine} == {"covariate_pair", "load_slip", "load_side_held"}
+    # bumps over the root of its size: ever finer towards a load of nothing
+    bumps = next(k.columns for k in offered if k.covariates == ("on_j2_My",) and len(k.columns) == 9)
+    values = np.stack([b.value(c) for b in bumps])
+    assert np.allclose(values.sum(axis=0), values.sum(axis=0).mean(), rtol=0.35)
+    most = np.abs(w).max()
+    for knot, about in ((1, 0.16), (3, 0.06), (4, 0.01), (7, 0.16)):
+        centre = np.sign(knot - 4) * ((knot - 4) / 4) ** 2 * most
+        assert np.abs(w[values[knot] > 0.95] - centre).max(initial=0.0) < about * most
+    # octaves of waves over a joint's travel, in every component, are orthogonal to what they are twice as fine as
+    fine = [k for k in offered if k.covariates == ("q_j2",) and k.columns[0].function == "wave" and k.component == "rz"]
+    assert [len(k.columns) for k in fine] == [6, 12, 24]
+    even = replace(c.recording, q=np.tile(np.linspace(*_travel(c, 1), 450)[:, None], (1, space.machine.n)))
+    waves = np.stack([k.value(replace(c, recording=even)) for f in fine for k in f.columns])
+    assert np.allclose(waves @ waves.T / 225, np.eye(42), atol=0.02)
+
+
+def _travel(c: Context, joint: int) -> tuple[float, float]:
+    q = c.recording.q[:, joint]
+    return float(q.min()), float(q.max())
+
+
+def test_what_has_no_name_may_be_a_misread_load_a_pull_or_a_drive_s_own_heat(space: Workspace) -> None:
+    c = space.context
+    offered = nameless(c)
+    # a moment misread in proportion to a force, about the mean: as the named form has it
+    off = Column("frames", "sensor_off", {"component": 3, "name": "Fy", "knot": 0, "count": 1}).value(c)
+    misread = Column("frames", "sensor_error", {"component": 3, "source": 1}).value(c)
+    shifted = Column("frames", "sensor_error", {"component": 3}).value(c)
+    force = c.recording.wrench[:, 1]
+    assert np.allclose(off * force.std(), misread - force.mean() * shifted, atol=1e-9 * np.abs(misread).max())
+    assert any(k.covariates == ("Fy",) and len(k.columns) == 3 and k.frame is None for k in offered)
+    assert any(k.covariates == ("Mx", "q_j3") and k.columns[0].function == "sensor_off" for k in offered)
+    # a rope to the base: its moment about every joint, by hand
+    reach = named_column(c, "reach")
+    tip, base = c.chain[:, -1, :3, 3], c.chain[:, 0, :3, 3]
+    assert np.allclose(reach, np.sqrt(((tip - base) ** 2).sum(axis=1)))
+    pulls = Column("frames", "pulled", {"axis": 3, "knot": 2, "count": 3}).value(c)
+    size = covariate(c, "reach", 2, 3)
+    sensor = (c.chain[:, -1] @ c.machine.sensor_in_link)[:, :3, 3]
+    for v, frame in ((7, 2), (300, 5)):
+        rope = (base[v] - tip[v]) / reach[v] * size[v]
+        turn = c.chain[v, frame, :3, :3]
+        wrench = np.concatenate([turn.T @ rope, turn.T @ np.cross(sensor[v] - c.chain[v, frame, :3, 3], rope)])
+        assert np.allclose(pulls[v, frame], -c.compliance[v, frame] @ wrench, atol=1e-15)
+    assert np.abs(pulls).max() > 0
+    assert all(name.startswith("q_") for k in offered if k.columns[0].function == "pulled" for name in k.covariates)
+    # how much a joint was moved, per hour, and what lags behind it
+    pace, q = named_column(c, "pace_j3"), c.recording.q[:, 2]
+    assert pace[0] == 0.0
+    assert pace[200] == pytest.approx(abs(q[200] - q[199]) / (c.hours[200] - c.hours[199]))
+    assert column_of("late_2_pace_j3") == ("q_j3", "how much it was moved, lagging by 2 h")
+    assert ("late_1_pace_j3", "q_j3") in {k.covariates for k in offered}
+
+
+def test_an_instrument_s_angle_error_moves_what_it_sees_as_a_turn_of_its_circles_would(space: Workspace) -> None:
+    c = space.context
+    station = c.measuring_in_base[:3, 3]
+    rays = c.points - station
+    away = np.hypot(rays[..., 0], rays[..., 1])
+    azimuth, elevation = np.arctan2(rays[..., 1], rays[..., 0]), np.arctan2(rays[..., 2], away)
+    ahead = np.arctan2(c.measuring_in_base[1, 0], c.measuring_in_base[0, 0])
+    distance, little = np.linalg.norm(rays, axis=2), 1e-6
+    assert np.allclose(c.machine.gravity[:2], 0.0)
+    for angle, order in (("azimuth", 1), ("azimuth", 2), ("elevation", 2)):
+        at = azimuth - ahead if angle == "azimuth" else elevation
+        az = azimuth + (little * np.cos(order * at) if angle == "azimuth" else 0.0)
+        el = elevation + (little * np.cos(order * at) if angle == "elevation" else 0.0)
+        seen = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1) * distance[..., None]
+        column = Column("points", "angle_error", {"angle": angle, "order": order, "phase": "cos"})
+        assert np.allclose(column.value(c), (seen - rays) / little, atol=1e-5 * distance.max())
 
 
 def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_recording_s_own(space: Workspace) -> None:
