@@ -141,15 +141,13 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
         names = ["half_slack"]
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
-        load = _load_unit(candidate.covariate)
-        names, units = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))], [
-            f"{unit}/({load})"
-        ] * len(values)
+        names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
+        units = [_per_load(unit, candidate.covariate)] * len(values)
     elif candidate.effect == "clearance":
         names = ["half_gap"]
     elif candidate.effect == "creep":
-        load = _load_unit(WRENCH_COMPONENTS[candidate.columns[0].component])
-        name, of = ("share", "1") if candidate.joint is None else ("compliance", f"{unit}/({load})")
+        load = WRENCH_COMPONENTS[candidate.columns[0].component]
+        name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
         names, units = [name, f"slow_{name}"][: len(values)], [of] * len(values)
     out: dict[str, dict[str, Any]] = {
         name: {"value": float(v * f), "std": float(s * abs(f)), "unit": u}
@@ -176,6 +174,10 @@ def _shape_unit(name: str, unit: str, covariate: str) -> str:
 
 def _load_unit(covariate: str) -> str:
     return "N" if covariate.startswith("F") else "N m"
+
+
+def _per_load(unit: str, covariate: str) -> str:
+    return f"{unit}/N" if covariate.startswith("F") else f"{unit}/(N m)"
 
 
 def _region(space: Workspace, covariate: str) -> list[float] | None:

@@ -9,11 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.evidence import HANDICAP, Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
 from ppshw.diagnosis.library import Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import MAY_BE_PLAY, OUTSIDE, Found, _caster, _soft_walls, search
+from ppshw.diagnosis.search import (
+    MAY_BE_PLAY,
+    OUTSIDE,
+    Found,
+    _beside_a_riddle,
+    _caster,
+    _give_up,
+    _soft_walls,
+    search,
+)
 from ppshw.diagnosis.wording import parameters_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
@@ -111,6 +120,52 @@ def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) 
     found, tried = _search(there, ["friction_hysteresis"])
     assert {f.name for f in found} == {("nameless", None)}
     assert any("cov_humidity" in covariate for f in found for covariate in _best(tried, f).covariates)
+
+
+@pytest.mark.parametrize(("share", "beside"), [(0.05, False), (0.2, True)])
+def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: float, beside: bool) -> None:
+    """It is what the named form leaves, however large its size came out."""
+    some = [k for k in library(space.context) if k.effect == "creep" and k.joint == NAME] + nameless(space.context)
+    place = some[0].frame, some[0].component
+    there = next(j for j, k in enumerate(some) if k.effect == "nameless" and (k.frame, k.component) == place)
+    tried = Tried(space, some, 5e-5)
+    named = Found(0, ("creep", NAME), 0.0, 160.0, size=5e-5, first=160.0)
+    riddle = Found(there, ("nameless", None), 0.0, 160.0 * share, size=4e-5, first=160.0 * share)
+    assert _beside_a_riddle(tried, named, [riddle]) is beside
+    riddle.size = 2e-5  # less than half as large
+    assert not _beside_a_riddle(tried, named, [riddle])
+
+
+@pytest.mark.parametrize(
+    ("own", "with_all", "stands"), [(100.9, 105.9, False), (101.1, 0.0, True), (0.0, 106.1, True), (0.0, 100.9, False)]
+)
+def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, with_all: float, stands: bool
+) -> None:
+    """The best rival without a name says 100."""
+    some = [k for k in library(space.context) if k.effect == "creep" and k.joint == NAME] + nameless(space.context)
+    tried = Tried(space, some, 5e-5)
+    evidence = np.zeros(len(some))
+    names = np.where([effect == "nameless" for effect, _ in tried.names], HANDICAP * 100.0, own)
+    monkeypatch.setattr(module, "_by_itself", lambda *_: (own, with_all, evidence, names))
+    found = [Found(0, ("creep", NAME), 0.0, 160.0, first=160.0)]
+    _give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
+
+
+def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
+    k = space.machine.joint_names.index("longitudinal") + 1
+    where = {"frame": k, "component": 3, "form": "total"}
+    fast, slow = (Column("frame", "creeping", {**where, "tau": tau}, k, 3) for tau in (0.1, 0.8))
+    found, tried = _search(_with(_with(space, fast, 6.0), slow, 6.0), ["creep", "nonlinear_stiffness"])
+    assert found[0].name == ("creep", "longitudinal")
+    candidate = _best(tried, found[0])
+    said = parameters_of(candidate, np.array([1e-9, 2e-9]), np.array([1e-10, 1e-10]))
+    assert [said[name]["value"] for name in ("tau_h", "slow_tau_h")] == [0.1, 0.8]
+    assert (said["slow_compliance"]["value"], said["slow_compliance"]["unit"]) == (2e-9, "rad/(N m)")
+    pushed = next(k for k in tried.candidates if k.effect == "creep" and k.component == "ty")
+    assert parameters_of(pushed, np.array([1e-9]), np.array([1e-10]))["compliance"]["unit"] == "m/N"
 
 
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
