@@ -67,14 +67,14 @@ def diagnose(
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
     # what swings more than the rest counts less, or its visits would be called wrong and its swings an effect
-    spread = _spread(space, without, seed)
-    if spread is not None:
-        space = prepare(machine, recording, everything, space.base, spread)
+    calming = _calming(space, without, seed)
+    if calming is not None:
+        space = prepare(machine, recording, everything, space.base, calming)
     gross = gross_errors(space)
     believed = everything.copy()
     if gross.visits:
         believed[list(gross.visits)] = False
-        space = prepare(machine, recording, believed, None, spread)
+        space = prepare(machine, recording, believed, None, calming)
     tell(2, 10)
     tried, found = _look(space, without, seed, (), lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
@@ -84,11 +84,11 @@ def diagnose(
         still = still_gross(space, gross, max(riddles, default=0.0))
         if not found or (again and still.visits == gross.visits):
             break
-        spread, gross = _spread(space, without, seed), still
+        calming, gross = _calming(space, without, seed), still
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
-        space = prepare(machine, recording, believed, base, spread)
+        space = prepare(machine, recording, believed, base, calming)
         moments = tuple(f.shape["time_h"] for f in (tried.candidates[g.best] for g in found) if "time_h" in f.shape)
         del tried  # its columns are most of the memory: the next look lays its own
         tried, found = _look(space, without, seed, moments, lambda k: tell(6 + k, 10))
@@ -102,9 +102,9 @@ def diagnose(
     return Diagnosis(answer, space, carried.found)
 
 
-def _spread(space: Workspace, without: frozenset[str], seed: int) -> Array | None:
+def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | None:
     found = None if "unsettled" in without else scatter_of(space, seed)
-    return None if found is None else found.spread
+    return None if found is None else found.calming
 
 
 def _look(

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from ppshw.diagnosis.evidence import corrected_residual
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms import COMPONENTS
 
 Array = NDArray[np.float64]
 # A visit is wrong when noise would do this to one visit in a thousand recordings.
@@ -19,6 +20,7 @@ GROSS = 1e-3
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.005
 PERMUTATIONS = 1999
+SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
 
 @dataclass(frozen=True)
@@ -110,10 +112,11 @@ def _swap(space: Workspace, visit: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Scatter:
-    """finding: the contract's; spread: (N,) how many times as large as in the middle the noise of a visit is."""
+    """finding: the contract's; calming: (N, 3T, 3T) that the whitened noise of a visit is to be multiplied by, to be
+    white again."""
 
     finding: dict[str, Any]
-    spread: Array
+    calming: Array
 
 
 def scatter_of(space: Workspace, seed: int) -> Scatter | None:
@@ -121,8 +124,11 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     visits; the weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001).
 
     The other way round nothing acts, but scatter that differs by pose looks so: sweeps are short moves in one place.
+    What swings may be one link about one axis; where that is likelier than noise that grows in all directions, only
+    that direction counts less.
     """
-    residual = corrected_residual(space) * space.spread[space.fit, None]
+    whitened = corrected_residual(space)[..., None]
+    residual = np.asarray(np.linalg.solve(space.calming[space.fit], whitened), dtype=float)[..., 0]
     r = space.recording
     size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
     size = size - size.mean()
@@ -149,7 +155,7 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     p = (1 + int((null >= strength[k]).sum())) / (PERMUTATIONS + 1)
     if p > SCATTER:
         return None
-    name = list(columns)[k].removesuffix(" squared").split(" exp")[0]
+    name = _stem(list(columns)[k])
     way = "falls" if name == "settle_s" else "grows"
     more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
     finding: dict[str, Any] = {
@@ -159,4 +165,66 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
         "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
         "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
-    return Scatter(finding, np.exp(whole[:, k] * strength[k] / 2))
+    spread = np.exp(whole[:, k] * strength[k] / 2)
+    alike = [size for column, size in columns.items() if _stem(column) == name]
+    swings = [_swing(space, residual, size - min(float(size.min()), 0.0)) for size in alike]
+    swing = max((found for found in swings if found is not None), key=lambda found: found.gain, default=None)
+    if swing is None or swing.gain - np.log(swing.tried) < _gain_of(space, residual, spread):
+        return Scatter(finding, np.eye(space.rows) / spread[:, None, None])
+    # which of several frames that move the end effector nearly alike is a guess, so no joint is named
+    said = {"frame": space.machine.frame_names[swing.frame], "component": COMPONENTS[swing.component]}
+    where = f"; it swings most nearly as {said['frame']} {said['component']} would: noise"
+    return Scatter({**finding, **said, "sentence": finding["sentence"].replace(": noise", where)}, swing.calming)
+
+
+def _stem(column: str) -> str:
+    """The recording's column, whatever function of it."""
+    return column.removesuffix(" squared").split(" exp")[0]
+
+
+@dataclass(frozen=True)
+class _Swing:
+    """Where a link swings, how much likelier that is than even noise (log), of how many tried; calming as `Scatter`."""
+
+    frame: int
+    component: int
+    gain: float
+    tried: int
+    calming: Array
+
+
+def _swing(space: Workspace, residual: Array, size: Array) -> _Swing | None:
+    """The component of a frame whose swinging in proportion to a column is likeliest; None where nothing can.
+
+    residual  (F, 3T) of the fit visits, white but for the swinging;  size (N,) of the swing, in any unit, not negative
+    """
+    root = np.linalg.solve(space.calming, space.root)
+    along = np.einsum("nij,njfc->nfci", root, space.context.jacobian)  # (N, n+1, 6, 3T)
+    square = (along**2).sum(axis=3) * size[:, None, None] ** 2
+    shown = np.einsum("nfci,ni->nfc", along[space.fit], residual) ** 2 * size[space.fit, None, None] ** 2
+    mean = square[space.fit].mean(axis=0)
+    seen = mean > 1e-9 * mean.max()
+    if not mean.max() > 0:
+        return None
+    gains = np.full((len(SWINGS), *mean.shape), -np.inf)
+    for j, ratio in enumerate(SWINGS):
+        most = np.where(seen, ratio / np.maximum(mean, 1e-300), 0.0)
+        bigger = 1.0 + most * square[space.fit]
+        gains[j] = np.where(seen, 0.5 * (shown * most / bigger - np.log(bigger)).sum(axis=0), -np.inf)
+    j, frame, component = (int(k) for k in np.unravel_index(int(np.argmax(gains)), gains.shape))
+    u = along[:, frame, component]
+    length = np.maximum((u**2).sum(axis=1), 1e-30)
+    less = 1.0 / np.sqrt(1.0 + SWINGS[j] / mean[frame, component] * square[:, frame, component]) - 1.0
+    calming = np.eye(space.rows) + (less / length)[:, None, None] * u[:, :, None] * u[:, None, :]
+    # the noise was learnt with the swinging in it
+    calm = np.einsum("nij,nj->ni", calming[space.fit], residual)
+    calming /= np.sqrt((calm**2).sum() / (3 * space.recording.seen[space.fit].sum()))
+    return _Swing(frame, component, float(gains.max()), gains.size, calming)
+
+
+def _gain_of(space: Workspace, residual: Array, spread: Array) -> float:
+    """How much likelier (log) residuals (F, 3T) are with noise that grows alike in all directions (N,) than with even
+    noise."""
+    freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
+    grows = spread[space.fit]
+    return float((0.5 * (residual**2).sum(axis=1) * (1 - 1 / grows**2) - freedom * np.log(grows)).sum())

@@ -40,6 +40,7 @@ class Compared:
     design   (M·3T, k)    whitened columns of the fit
     wrong    draws of white noise (d, M·3T) → how wrong a fit of them is in its coefficients (d, k)
     context  of the M visits
+    calming  (M, 3T, 3T) by what the fit multiplied a visit's noise besides; None: by nothing
     """
 
     left: Array
@@ -49,6 +50,7 @@ class Compared:
     design: Single
     wrong: Wrong
     context: Context
+    calming: Array | None = None
 
     def __len__(self) -> int:
         return len(self.left)
@@ -66,8 +68,17 @@ class Compared:
         for at in range(0, draws, step):
             count = min(step, draws - at)
             noise = np.asarray(rng.standard_normal((count, size), dtype=np.float32) * scale, dtype=np.float32)
+            noise = self._multiplied(noise, self.calming)
             noise -= self.wrong(noise, rng) @ self.design.T
+            noise = self._multiplied(noise, None if self.calming is None else np.asarray(np.linalg.inv(self.calming)))
             yield np.asarray(noise / weight, dtype=np.float32).reshape(count, *self.left.shape)
+
+    def _multiplied(self, noise: Single, by: Array | None) -> Single:
+        """(d, M·3T), each visit's part by its matrix."""
+        if by is None:
+            return noise
+        parts = noise.reshape(len(noise), *self.left.shape)
+        return np.asarray(np.einsum("mij,dmj->dmi", by, parts), dtype=np.float32).reshape(noise.shape)
 
 
 def of_space(space: Workspace, found: bool = True, everything: bool = False) -> Compared:
@@ -81,8 +92,6 @@ def of_space(space: Workspace, found: bool = True, everything: bool = False) -> 
         space.forget()
     weights = np.ones(len(space.recording))
     weights[space.fit] = np.maximum(space.base.weights, 1e-3)
-    if not found:
-        weights /= space.spread**2  # that some visits swing more was found too
     which = np.ones_like(space.fit) if everything else space.fit
     columns = np.concatenate([space.design, space.taken], axis=2)[which]
     base, extra = space.coefficients()
@@ -105,9 +114,12 @@ def of_space(space: Workspace, found: bool = True, everything: bool = False) -> 
         return delta.T.astype(np.float32)
 
     root = space.root[which] / np.sqrt(weights[which])[:, None, None]
+    calming = None if found else space.calming[which]  # that some visits swing more was found too
+    if calming is not None:
+        root = np.asarray(np.linalg.solve(calming, root))
     return Compared(
         np.einsum("nij,nj->ni", root, left * rows), root, rows, weights[which], white, wrong,
-        visits_of(space.context, which),
+        visits_of(space.context, which), calming,
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class Workspace:
     root       (N, 3T, 3T)        L⁻¹ of the noise covariance, so that root·(noise) is white; 0 for lost targets
     prior      (p,)               prior standard deviations of the base model's parameters
     caution    (p,)               how many times what was learnt they are
-    spread     (N,)               how many times its usual size the noise of a visit is taken to have
+    calming    (N, 3T, 3T)        part of root: by what a visit's noise is multiplied where it swings more than others'
     active     which of all the base model's parameters the p columns are
     taken      (N, 3T, k), taken_prior (k,): columns of findings that were taken up
     """
@@ -64,7 +64,7 @@ class Workspace:
     prior: Array
     active: Mask
     caution: Array
-    spread: Array
+    calming: Array
     taken: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     taken_prior: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -89,6 +89,11 @@ class Workspace:
         final = replace(self, prior=self.prior / self.caution * caution, caution=caution)
         final.take_up(self.taken, self.taken_prior)
         return final
+
+    @property
+    def calmed(self) -> bool:
+        """Whether some visits were found to swing more than others."""
+        return bool((self.calming != np.eye(self.rows)).any())
 
     @property
     def rows(self) -> int:
@@ -161,7 +166,7 @@ def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
 
 
 def prepare(
-    machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, spread: Array | None = None
+    machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None
 ) -> Workspace:
     """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before."""
     base = base or estimate(joint_model(machine, recording), recording.subset(fit))
@@ -181,11 +186,11 @@ def prepare(
     root = root * (rows[:, :, None] & rows[:, None, :])
     weights = np.ones(count)
     weights[fit] = np.maximum(base.weights, 1e-3)
-    spread = np.ones(count) if spread is None else spread
-    root = root * (np.sqrt(weights) / spread)[:, None, None]
+    calming = np.tile(np.eye(rows.shape[1]), (count, 1, 1)) if calming is None else calming
+    root = calming @ root * np.sqrt(weights)[:, None, None]
     context = Context.of(model, base.theta, recording, base.measuring_in_base)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     return Workspace(
         machine, recording, fit, base, context, design, data, root, caution * strengths[active], active, caution,
-        spread,
+        calming,
     )

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, still_gross
+from ppshw.diagnosis.checks import before_and_after
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
+from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
 
@@ -63,3 +65,58 @@ def test_a_visit_that_a_finding_moves_further_than_it_is_off_is_what_its_form_le
     shaken = replace(aside, data=aside.data + amount * column)
     shaken.take_up(column[..., None], np.array([1.0]))
     assert still_gross(shaken, GrossErrors(visits=(BAD,))).visits == kept
+
+
+def _noisier(space: Workspace, more: np.ndarray) -> Workspace:
+    """The same recording with (N, 3T) added to its readings [m]."""
+    return replace(space, data=space.data + more)
+
+
+def _load(space: Workspace) -> np.ndarray:
+    load = np.linalg.norm(space.recording.wrench[:, :3], axis=1)
+    return np.asarray(load / load.max())
+
+
+def test_what_swings_under_load_is_calmed_in_its_own_direction_alone(clean: Workspace) -> None:
+    rng = np.random.default_rng(5)
+    frame = clean.machine.frame_names.index("longitudinal")
+    arms = clean.context.jacobian[:, :, frame, 3]
+    swing = arms * (_load(clean) * rng.normal(size=len(arms)))[:, None]
+    shaken = _noisier(clean, swing * 6e-5 / np.sqrt((swing**2).sum() / clean.recording.seen.sum()))
+    assert scatter_of(clean, 0) is None
+    found = scatter_of(shaken, 0)
+    assert found is not None
+    said = found.finding
+    assert (said["effect"], said["joint"], said["covariate"]) == ("unsettled", None, "load")
+    # which frame is a guess, but it moves the reflectors nearly alike
+    other = clean.context.jacobian[:, :, clean.machine.frame_names.index(said["frame"]), :]
+    other = other[..., ["tx", "ty", "tz", "rx", "ry", "rz"].index(said["component"])]
+    assert abs((arms * other).sum()) > 0.9 * np.linalg.norm(arms) * np.linalg.norm(other)
+    assert f"it swings most nearly as {said['frame']} {said['component']} would" in said["sentence"]
+    # one direction of every visit counts less, the more the heavier the load; the others alike everywhere
+    lengths = np.linalg.eigvalsh(found.calming)
+    assert np.ptp(lengths[:, 1:]) < 1e-9
+    assert lengths[0, 1] == pytest.approx(1.0, abs=0.1)
+    ratio = lengths[:, 0] / lengths[:, 1]
+    assert np.corrcoef(ratio, _load(clean))[0, 1] < -0.8
+    assert ratio[_load(clean) > 0.9].mean() < 0.5
+    assert ratio[_load(clean) < 0.15].mean() > 0.8
+    calm = replace(shaken, root=found.calming @ shaken.root, calming=found.calming)
+    after = scatter_of(calm, 0)
+    assert after is not None
+    assert np.allclose(after.calming, found.calming, rtol=0.2, atol=0.05)  # of the whole scatter, not of what is left
+    # what the base model alone leaves is compared with even noise, and is not like it
+    assert np.allclose(of_space(calm, found=False).root, of_space(shaken).root)
+    checks = {when: {c["name"]: c["p"] for c in made} for when, made in before_and_after(calm).items()}
+    assert checks["before"]["scatter_load"] <= 0.005 < checks["after"]["scatter_load"]
+
+
+def test_noise_that_grows_in_all_directions_is_calmed_in_all(clean: Workspace) -> None:
+    rng = np.random.default_rng(6)
+    white = rng.normal(size=clean.data.shape) * 3.0 * _load(clean)[:, None]
+    found = scatter_of(_noisier(clean, np.linalg.solve(clean.root, white[..., None])[..., 0]), 0)
+    assert found is not None
+    assert found.finding["frame"] is None
+    sizes = found.calming[:, 0, 0]
+    assert np.allclose(found.calming, sizes[:, None, None] * np.eye(clean.rows))
+    assert np.corrcoef(np.log(sizes), _load(clean))[0, 1] < -0.9
