@@ -225,15 +225,16 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
     for frame, name, acting in _elastic_frames(c):
         for b in acting:
             where = {"frame": frame, "component": b}
-            shapes = [("load_power", {"exponent": e}, {"exponent": e}) for e in (0.67, 0.8, 1.5, 2.0, 3.0)]
-            # slack that is taken up little by little: soft at first, then stiff
-            shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w)) for w in TAKEN_UP]
-            for function, args, shape in shapes:
+            # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
+            powers = ((0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
+            shapes = [("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers]
+            shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w), 2 / len(TAKEN_UP)) for w in TAKEN_UP]
+            for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(
                         "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
-                        1.0 if comp == b else 0.2,
+                        share if comp == b else 0.2 * share,
                     )  # fmt: skip
 
 
