@@ -167,7 +167,8 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     }  # fmt: skip
     spread = np.exp(whole[:, k] * strength[k] / 2)
     alike = [size for column, size in columns.items() if _stem(column) == name]
-    swings = [_swing(space, residual, size - min(float(size.min()), 0.0)) for size in alike]
+    along = np.einsum("nij,njfc->nfci", np.linalg.solve(space.calming, space.root), space.context.jacobian)
+    swings = [_swing(space, along, residual, size - min(float(size.min()), 0.0)) for size in alike]
     swing = max((found for found in swings if found is not None), key=lambda found: found.gain, default=None)
     if swing is None or swing.gain - np.log(swing.tried) < _gain_of(space, residual, spread):
         return Scatter(finding, np.eye(space.rows) / spread[:, None, None])
@@ -193,13 +194,12 @@ class _Swing:
     calming: Array
 
 
-def _swing(space: Workspace, residual: Array, size: Array) -> _Swing | None:
+def _swing(space: Workspace, along: Array, residual: Array, size: Array) -> _Swing | None:
     """The component of a frame whose swinging in proportion to a column is likeliest; None where nothing can.
 
+    along     (N, n+1, 6, 3T) what every component of every frame does, whitened for even noise
     residual  (F, 3T) of the fit visits, white but for the swinging;  size (N,) of the swing, in any unit, not negative
     """
-    root = np.linalg.solve(space.calming, space.root)
-    along = np.einsum("nij,njfc->nfci", root, space.context.jacobian)  # (N, n+1, 6, 3T)
     square = (along**2).sum(axis=3) * size[:, None, None] ** 2
     shown = np.einsum("nfci,ni->nfc", along[space.fit], residual) ** 2 * size[space.fit, None, None] ** 2
     mean = square[space.fit].mean(axis=0)

@@ -243,7 +243,6 @@ def _of_what_was_read(c: Context) -> Iterator[Candidate]:
         off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]
         yield _nameless(c, None, None, (WRENCH_COMPONENTS[component], f"temp_{place}_C"), off)
     read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
-    warm = [f"temp_{place}_C" for place in temperature_places(c)]
     others = [f"q_{joint}" for _, joint in moving_joints(c)] + [WRENCH_COMPONENTS[k] for k in read]
     for component, name in itertools.product(range(6), others):
         if name != WRENCH_COMPONENTS[component]:
@@ -251,9 +250,10 @@ def _of_what_was_read(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, None, None, (WRENCH_COMPONENTS[component], name), [
                 Column("frames", "sensor_off", {**args, "knot": k}) for k in range(3)
             ])  # fmt: skip
-    for name, components in itertools.product([*others, *warm], (range(3), range(3, 6))):
-        args = {"name": name, "knot": 0, "count": 1}
-        leaks = [Column("frames", "sensor_off", {**args, "component": k}) for k in components]
+    whole = [(name, "sensor_off", {"name": name, "knot": 0, "count": 1}) for name in others]
+    whole += [(f"temp_{place}_C", "sensor_error", {"place": place, "tau": 0.0}) for place in temperature_places(c)]
+    for (name, function, args), components in itertools.product(whole, (range(3), range(3, 6))):
+        leaks = [Column("frames", function, {**args, "component": k}) for k in components]
         yield _nameless(c, None, None, (name,), leaks)
 
 

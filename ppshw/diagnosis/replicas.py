@@ -65,12 +65,13 @@ class Compared:
         step = max(1, min(draws, AT_ONCE // size))
         weight = np.repeat(np.sqrt(self.weights), self.left.shape[1]).astype(np.float32)
         scale = self.live.ravel() * weight
+        back = None if self.calming is None else np.asarray(np.linalg.inv(self.calming))
         for at in range(0, draws, step):
             count = min(step, draws - at)
             noise = np.asarray(rng.standard_normal((count, size), dtype=np.float32) * scale, dtype=np.float32)
             noise = self._multiplied(noise, self.calming)
             noise -= self.wrong(noise, rng) @ self.design.T
-            noise = self._multiplied(noise, None if self.calming is None else np.asarray(np.linalg.inv(self.calming)))
+            noise = self._multiplied(noise, back)
             yield np.asarray(noise / weight, dtype=np.float32).reshape(count, *self.left.shape)
 
     def _multiplied(self, noise: Single, by: Array | None) -> Single:

@@ -24,7 +24,7 @@ from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect
 from ppshw.terms.past import Moment, Past
-from ppshw.terms.shapes import Column, Context, compliances
+from ppshw.terms.shapes import Column, Context, bump, compliances
 
 Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
@@ -280,7 +280,7 @@ def _mean_bump(column: Column) -> float:
     if count < 2:
         return 0.0
     knots = [int(column.args[k]) for k in ("knot", "a", "b") if k in column.args]
-    return float(np.prod([np.exp(-0.5 * ((ranks * (count - 1) - k) / 1.2) ** 2).mean() for k in knots]))
+    return float(np.prod([bump(ranks, k, count).mean() for k in knots]))
 
 
 def _by_clock(column: Column) -> bool:

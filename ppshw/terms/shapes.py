@@ -152,6 +152,11 @@ class Column:
         }  # fmt: skip
 
 
+def bump(at: Array, knot: int, count: int) -> Array:
+    """The knot-th of `count` Gaussian bumps, evenly over 0 … 1."""
+    return np.asarray(np.exp(-0.5 * ((at * (count - 1) - knot) / 1.2) ** 2))
+
+
 # --- on one component of one frame: (N,) -----------------------------------------------------------------------
 def approach(c: Context, joint: int) -> Array:
     return c.recording.approach[:, joint].astype(float)
@@ -173,7 +178,7 @@ def turning(c: Context, joint: int, knot: int, count: int) -> Array:
     way = way_since_reversal(q, c.recording.approach[:, joint])
     far = max(c.frozen(f"high.{joint}", q.max()) - c.frozen(f"low.{joint}", q.min()), 1e-9)
     at = np.sqrt(np.minimum(way / far, 1.0))
-    return np.asarray(approach(c, joint) * np.exp(-0.5 * ((at - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
+    return approach(c, joint) * bump(at, knot, count)
 
 
 def slipping(c: Context, joint: int, width: float) -> Array:
@@ -247,32 +252,38 @@ def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) 
     return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
 
 
+def _spread(c: Context, frame: int, component: int) -> float:
+    """Standard deviation of a component of the wrench on a frame."""
+    return max(c.frozen(f"spread.{frame}.{component}", float(c.wrenches[:, frame, component].std())), 1e-9)
+
+
+def _most(c: Context, frame: int, component: int) -> float:
+    return max(c.frozen(f"most.{frame}.{component}", float(np.abs(c.wrenches[:, frame, component]).max())), 1e-9)
+
+
 def load_power(c: Context, frame: int, component: int, exponent: float) -> Array:
     w = c.wrenches[:, frame, component]
-    most = c.frozen(f"most.{frame}.{component}", float(np.abs(w).max()))
-    return np.asarray(np.sign(w) * np.abs(w) ** exponent / max(most, 1e-9) ** (exponent - 1))
+    return np.asarray(np.sign(w) * np.abs(w) ** exponent / _most(c, frame, component) ** (exponent - 1))
 
 
 def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0) -> Array:
     """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread."""
     w = c.wrenches[:, frame, component]
-    spread = max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9)
-    return np.asarray(np.tanh((w / spread - offset) / width))
+    return np.asarray(np.tanh((w / _spread(c, frame, component) - offset) / width))
 
 
 def load_side_held(c: Context, frame: int, component: int, width: float) -> Array:
     """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread."""
     w = c.wrenches[:, frame, component]
-    return side_held(w, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
+    return side_held(w, width * _spread(c, frame, component))
 
 
 def load_bump(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
     """A smooth function of a component of the wrench on a frame, finest where it changes sign: the knot-th of `count`
     Gaussian bumps over ± the root of its size."""
     w = c.wrenches[:, frame, component]
-    most = max(c.frozen(f"most.{frame}.{component}", float(np.abs(w).max())), 1e-9)
-    at = np.sign(w) * np.sqrt(np.minimum(np.abs(w) / most, 1.0))
-    return np.asarray(np.exp(-0.5 * ((at + 1.0 - 2.0 * knot / (count - 1)) * (count - 1) / 2.4) ** 2))
+    at = np.sign(w) * np.sqrt(np.minimum(np.abs(w) / _most(c, frame, component), 1.0))
+    return bump((at + 1.0) / 2.0, knot, count)
 
 
 def load_slip(c: Context, frame: int, component: int, width: float) -> Array:
@@ -281,14 +292,14 @@ def load_slip(c: Context, frame: int, component: int, width: float) -> Array:
     w = c.wrenches[:, frame, component]
     began = np.zeros(len(w), dtype=np.int64)  # a load comes from the side that it goes to
     began[:1] = np.sign(w[:1])
-    return slip(w, began, width * max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9))
+    return slip(w, began, width * _spread(c, frame, component))
 
 
 def load_warm(c: Context, frame: int, component: int, place: str, tau: float, width: float = 0.0) -> Array:
     """A component of the wrench on a frame, relative to its spread, or which side the joint falls to by it (width as in
     `load_side`), times a temperature lagged by tau hours: what gives way differently as it warms."""
     w = c.wrenches[:, frame, component]
-    spread = max(c.frozen(f"spread.{frame}.{component}", float(w.std())), 1e-9)
+    spread = _spread(c, frame, component)
     pushed = load_side(c, frame, component, width) if width else w / spread
     return np.asarray(pushed * temperature(c, place, tau))
 
@@ -350,7 +361,7 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
     ]
     seen = (values >= quantiles[0]) & (values <= quantiles[-1])
     rank = np.interp(values, quantiles, places)
-    return np.asarray(seen * np.exp(-0.5 * ((rank - knot / (count - 1)) * (count - 1) / 1.2) ** 2))
+    return np.asarray(seen * bump(rank, knot, count))
 
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
@@ -423,7 +434,7 @@ def _late(c: Context, tau: float, form: str) -> Array:
     g = _gravity(c)
     held = load_memory(payloads(c.recording.wrench, c.recording.load, g), c.recording.load, c.hours, tau, form)
     wrench = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
-    return link_wrenches(c.machine, c.chain, wrench) - _own(c)
+    return _by_payload(c, wrench)
 
 
 def _gravity(c: Context) -> Array:
@@ -434,6 +445,11 @@ def _gravity(c: Context) -> Array:
 
 def _own(c: Context) -> Array:
     return link_wrenches(c.machine, c.chain, np.zeros((len(c.chain), 6)))
+
+
+def _by_payload(c: Context, wrench: Array) -> Array:
+    """(N, n+1, 6) on every frame by a wrench (N, 6) at the sensor alone."""
+    return link_wrenches(c.machine, c.chain, wrench) - _own(c)
 
 
 def _deflection(c: Context, wrenches: Array) -> Array:
@@ -479,7 +495,7 @@ def sensor_error(
         wrench = c.recording.wrench
     else:
         wrench[:, component] = size
-    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
+    return -_deflection(c, _by_payload(c, wrench))
 
 
 def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> Array:
@@ -487,7 +503,7 @@ def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> 
     `covariate`."""
     wrench = np.zeros((len(c.recording), 6))
     wrench[:, component] = covariate(c, name, knot, count)
-    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
+    return -_deflection(c, _by_payload(c, wrench))
 
 
 def pulled(c: Context, axis: int, knot: int, count: int) -> Array:
@@ -497,7 +513,7 @@ def pulled(c: Context, axis: int, knot: int, count: int) -> Array:
     to = c.chain[:, 0, :3, 3] - c.chain[:, -1, :3, 3] if axis == 3 else c.chain[:, 0, :3, axis]
     force = to / np.linalg.norm(to, axis=1, keepdims=True) * covariate(c, "reach", knot, count)[:, None]
     wrench = np.concatenate([np.einsum("nji,nj->ni", sensor, force), np.zeros_like(force)], axis=1)
-    return -_deflection(c, link_wrenches(c.machine, c.chain, wrench) - _own(c))
+    return -_deflection(c, _by_payload(c, wrench))
 
 
 def _turned(frame: Array, force: Array, moment: Array) -> Array:

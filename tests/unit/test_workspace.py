@@ -14,6 +14,10 @@ from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.terms import Situation
+from ppshw.terms.at_hand import KnownEffects
+from ppshw.terms.effect import Effect
+from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, covariate, named_column
 from tests.unit.clean_case import clean_case
 
@@ -198,6 +202,23 @@ def test_what_has_no_name_may_be_a_misread_load_a_pull_or_a_drive_s_own_heat(spa
     assert pace[200] == pytest.approx(abs(q[200] - q[199]) / (c.hours[200] - c.hours[199]))
     assert column_of("late_2_pace_j3") == ("q_j3", "how much it was moved, lagging by 2 h")
     assert ("late_1_pace_j3", "q_j3") in {k.covariates for k in offered}
+
+
+def test_whatever_a_finding_takes_over_is_known_to_a_setpoint_without_a_temperature(space: Workspace) -> None:
+    """Rivals without a name end up in calibrations as what else a named finding is like."""
+    c, model, theta = space.context, space.base.model, space.base.theta
+    kinds: dict[tuple[str, str, str], Column] = {}
+    for candidate in nameless(c):
+        for column in candidate.columns:
+            name = "".join(str(column.args.get(key, ""))[:4] for key in ("name", "place", "first"))
+            kinds.setdefault((column.on, column.function, name), column)
+    assert len(kinds) > 40
+    here = Situation(c.recording.q[:1], c.recording.wrench[:1])
+    now = Moment(c.recording.q[0], c.recording.approach[0], c.recording.wrench[0], float(c.recording.time[0]), "", {})
+    for kind, column in kinds.items():
+        effect = Effect("wrench_error", None, (column,), (1e-6,), (1e-7,), "by hand")
+        known = KnownEffects([effect], model, theta, c.reference, c.measuring_in_base)
+        assert np.isfinite(known.errors(now, Past(), *model.errors(here, theta))).all(), kind
 
 
 def test_an_instrument_s_angle_error_moves_what_it_sees_as_a_turn_of_its_circles_would(space: Workspace) -> None:
