@@ -34,8 +34,8 @@ LEAST_SHARE = 3e-4
 # better explanation: real forms differ from the library's by this share of the evidence or so (a guess, seen to be
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
-CHUNK = 2048  # columns at a time
-MOST_THREADS = 4  # each holds a chunk of its own: 33 MB for 450 visits, 440 MB for 6,000
+CHUNK, BLOCK = 512, 128  # columns at a time: in products; where they are laid. Memory anew costs more than arithmetic
+MOST_THREADS = 4  # each holds a chunk of its own: 8 MB for 450 visits, 110 MB for 6,000
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
 _Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
@@ -102,11 +102,14 @@ class Tried:
         visible = self.seen > LEAST_SHARE * np.maximum(self.plain, 1e-30)
         self.log_share = np.where([visible[i].any() for i in self.index], self.log_share, -np.inf)
         self._info0 = [self._information(batch.columns) for batch in self._batches]
+        self._plain_scores = self._product(space.absorb(space.y[:, None]))[:, 0]
         self.update()
 
     def _information(self, columns: NDArray[np.int64]) -> Array:
         """(C, k) columns → (C, k, k) information of each candidate, given the base model alone."""
         count, k = columns.shape
+        if k == 1:
+            return np.asarray(self.seen[columns][:, :, None])
         info = np.empty((count, k, k))
         step = max(1, CHUNK // k)
         for at in range(0, count, step):
@@ -142,27 +145,40 @@ class Tried:
     # --- evidence ------------------------------------------------------------------------------------------------
     def evidence(self, scores: Array) -> Array:
         """Log evidence of every candidate for scores (D, K) of all columns: (D, C)."""
-        out = np.empty((len(scores), len(self.candidates)))
-        for batch, info in zip(self._batches, self._info, strict=True):
-            k = batch.columns.shape[1]
-            s = scores[:, batch.columns].transpose(1, 2, 0)  # (C, k, D)
-            parts = []
-            for amplitude in AMPLITUDES:
-                prior = (amplitude * self.repeatability) ** 2 / k
-                whole = np.eye(k) + prior * info
-                solved = prior * s / whole if k == 1 else np.linalg.solve(whole, prior * s)
-                logdet = np.log(whole[:, 0, 0]) if k == 1 else np.linalg.slogdet(whole)[1]
-                parts.append(0.5 * np.einsum("ckd,ckd->cd", s, solved) - 0.5 * logdet[:, None])
-            most = np.maximum.reduce(parts)
-            mean = sum(np.exp(part - most) for part in parts) / len(AMPLITUDES)
-            out[:, batch.which] = (most + np.log(mean)).T
-        return out
+        out = np.empty((len(self.candidates), len(scores)))
+        of_columns = np.ascontiguousarray(scores.T)
+        parts = [
+            (batch, info, slice(at, at + CHUNK))
+            for batch, info in zip(self._batches, self._info, strict=True)
+            for at in range(0, len(batch.which), CHUNK)
+        ]
+
+        def of_part(k: int) -> None:
+            batch, info, part = parts[k]
+            out[batch.which[part]] = self._evidence(info[part], of_columns[batch.columns[part]])
+
+        _side_by_side(of_part, range(len(parts)))
+        return out.T
+
+    def _evidence(self, info: Array, scores: Array) -> Array:
+        """(C, D) for information (C, k, k) and scores (C, k, D): along the axes of the information each amplitude is a
+        sum of squares."""
+        k = info.shape[1]
+        if k == 1:
+            lengths, along = info[:, 0], scores**2
+        else:
+            lengths, turn = np.linalg.eigh(info)
+            along = (np.swapaxes(turn, 1, 2) @ scores) ** 2
+        prior = (np.array(AMPLITUDES) * self.repeatability) ** 2 / k
+        whole = 1.0 + prior[:, None] * np.maximum(lengths, 0.0)[:, None]  # (C, 3, k)
+        each = 0.5 * ((prior[:, None] / whole) @ along - np.log(whole).sum(axis=2)[..., None])  # (C, 3, D)
+        most = each.max(axis=1)
+        return np.asarray(most + np.log(np.exp(each - most[:, None]).mean(axis=1)))
 
     def scores(self) -> Array:
         """Zᵀ V⁻¹ y of every column, what was taken up included in V: (K,)."""
         space = self.space
-        plain = self._product(space.absorb(space.y[:, None]))[:, 0]
-        return plain - self._cross @ (space.middle @ (space.absorbed.T @ space.y))
+        return self._plain_scores - self._cross @ (space.middle @ (space.absorbed.T @ space.y))
 
     def _product(self, absorbed: Array) -> Array:
         """Zᵀ P x of every column for P x (F·3T, k): Z = P Z + A c, so that nothing large is cancelled."""
@@ -171,13 +187,13 @@ class Tried:
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
-        weighted = (evidence + self.log_share)[:, self._sorted]
-        most = np.maximum.reduceat(weighted, self._starts, axis=1)
+        weighted = (evidence + self.log_share).T[self._sorted]
+        most = np.maximum.reduceat(weighted, self._starts)
         most = np.where(np.isfinite(most), most, 0.0)
-        away = weighted - np.repeat(most, np.diff(self._starts, append=weighted.shape[1]), axis=1)
+        away = weighted - np.repeat(most, np.diff(self._starts, append=len(weighted)), axis=0)
         with np.errstate(divide="ignore"):
-            out = most + np.log(np.add.reduceat(np.exp(away), self._starts, axis=1))
-        return np.where(self._nameless & (out > 0), HANDICAP * out, out)
+            out = most + np.log(np.add.reduceat(np.exp(away), self._starts))
+        return np.where(self._nameless & (out > 0).T, HANDICAP * out.T, out.T)
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,).
@@ -185,16 +201,18 @@ class Tried:
         residual  (F, 3T) whitened and corrected for leverage
         """
         fit, size = residual.shape
-        parts = np.empty((fit, len(self.projected)), dtype=np.float32)
+        single = residual.astype(np.float32)
+        parts = np.empty((len(self.projected), fit), dtype=np.float32)
 
-        def of_visit(v: int) -> None:
-            parts[v] = self.projected[:, v * size : (v + 1) * size] @ residual[v].astype(np.float32)
+        def of_columns(at: int) -> None:
+            block = self.projected[at : at + BLOCK]
+            np.einsum("kvr,vr->kv", block.reshape(len(block), fit, size), single, out=parts[at : at + BLOCK])
 
-        _side_by_side(of_visit, range(fit))
+        _side_by_side(of_columns, range(0, len(parts), BLOCK))
         taken = np.einsum("vrf,vr->vf", self.space.absorbed.reshape(fit, size, self.space.absorbed.shape[1]), residual)
-        parts -= (taken @ self.space.middle @ self._cross.T).astype(np.float32)
+        parts -= (self._cross @ self.space.middle @ taken.T).astype(np.float32)
         signs = rng.choice(np.array([-1.0, 1.0], dtype=np.float32), size=(draws, fit))
-        return np.asarray(self.by_name(self.evidence(np.asarray(signs @ parts, dtype=float))).max(axis=1))
+        return np.asarray(self.by_name(self.evidence(np.asarray(signs @ parts.T, dtype=float))).max(axis=1))
 
 
 def _side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
@@ -218,31 +236,34 @@ def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array,
     exact = scaled @ turn
     absorbing = exact.astype(np.float32)
     shrink = (1.0 / (1.0 + np.maximum(lengths, 0.0))).astype(np.float32)
-    fit, rows = int(space.fit.sum()), space.y.size
+    rows = space.y.size
     half = np.empty((len(columns), rows + len(lengths)), dtype=np.float32)
     scale = np.empty(len(columns))
     readings = max(int(space.recording.seen.sum()), 1)
-    # columns on one component of a frame are that column of the Jacobian times a function of the visits
     jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))
     squares = (jacobian**2).sum(axis=3)  # (n+1, 6, N)
     white = np.einsum("nij,fcnj->fcni", space.root[space.fit], jacobian[:, :, space.fit], optimize=True)
     white = white.astype(np.float32)
     values: dict[tuple[object, ...], Array] = {}
+    alike: dict[tuple[int, int], list[int]] = {}
     for k, column in enumerate(columns):
-        f, c = column.frame, column.component
         if column.on == "frame":
+            alike.setdefault((column.frame, column.component), []).append(k)
             key = _key(column)[1:3]
             if key not in values:
                 values[key] = column.value(space.context)
-            value = values[key]
-            scale[k] = np.sqrt(squares[f, c] @ value**2 / readings)
-            part = white[f, c] * value[space.fit, None].astype(np.float32)
-        else:
-            raw = column.evaluate(space.context)
-            scale[k] = np.sqrt((raw**2).sum() / readings)
-            part = space.whiten(raw[..., None])[:, 0].reshape(fit, -1).astype(np.float32)
-        scale[k] = max(scale[k], 1e-30)
-        half[k, :rows] = (part / np.float32(scale[k])).ravel()
+            continue
+        raw = column.evaluate(space.context)
+        scale[k] = max(np.sqrt((raw**2).sum() / readings), 1e-30)
+        half[k, :rows] = (space.whiten(raw[..., None])[:, 0] / scale[k]).astype(np.float32)
+    # columns on one component of a frame are that column of the Jacobian times a function of the visits
+    for (f, c), members in alike.items():
+        for at in range(0, len(members), BLOCK):
+            which = members[at : at + BLOCK]
+            block = np.array([values[_key(columns[k])[1:3]] for k in which])
+            scale[which] = np.maximum(np.sqrt(block**2 @ squares[f, c] / readings), 1e-30)
+            unit = (block[:, space.fit] / scale[which][:, None]).astype(np.float32)
+            half[which, :rows] = (unit[:, :, None] * white[f, c]).reshape(len(which), rows)
     plain = np.empty(len(columns))
 
     def absorb(at: int) -> None:

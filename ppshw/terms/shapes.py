@@ -48,7 +48,7 @@ class Context:
     jacobian (N, 3T, n+1, 6), wrenches (N, n+1, 6), points (N, T, 3) in the base, tips (N, 4, 4): from the base model
     chain (N, n+1, 4, 4) frames in the base; compliance (N, n+1, 6, 6) of every frame as calibrated, zero where rigid
     measuring_in_base (4, 4) where the instrument stands; hours (N,) since the start; reference: see `of`;
-    model: the base model, where there is one at hand
+    model: the base model, where there is one at hand; memo: see `once`
     """
 
     machine: Machine
@@ -63,6 +63,7 @@ class Context:
     hours: Array
     reference: dict[str, float]
     model: Model | None = None
+    memo: dict[tuple[object, ...], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -93,11 +94,23 @@ class Context:
         """A figure of the recording a calibration was made from; `value` where this is that recording."""
         return self.reference.setdefault(key, float(value))
 
+    def once(self, key: tuple[object, ...], make: Callable[[], Array]) -> Array:
+        """What many columns look at, worked out once and not to be written to."""
+        if key not in self.memo:
+            self.memo[key] = make()
+            self.memo[key].flags.writeable = False
+        return self.memo[key]
+
     def u(self, joint: int) -> Array:
         """Joint position scaled to −1 … 1 over what was sampled."""
         q = self.recording.q[:, joint]
         low, high = self.frozen(f"low.{joint}", q.min()), self.frozen(f"high.{joint}", q.max())
         return np.asarray((q - (low + high) / 2) / max((high - low) / 2, 1e-9))
+
+    def legendre(self, joint: int, power: int) -> Array:
+        """Legendre polynomial of a joint's position, −1 … 1 over what was sampled."""
+        polynomial = np.polynomial.Legendre.basis(power)
+        return self.once(("legendre", joint, power), lambda: np.asarray(polynomial(self.u(joint)), dtype=float))
 
 
 def compliances(model: Model, theta: Array, situation: Situation) -> Array:
@@ -191,7 +204,8 @@ def winding(c: Context, joint: int, way: float) -> Array:
 
 def temperature(c: Context, place: str, tau: float) -> Array:
     values = c.recording.temperatures[place]
-    return lagged(values, c.hours, tau) - c.frozen(f"mean.{place}", float(np.mean(values)))
+    mean = c.frozen(f"mean.{place}", float(np.mean(values)))
+    return c.once(("temperature", place, tau), lambda: lagged(values, c.hours, tau) - mean)
 
 
 def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
@@ -333,10 +347,7 @@ def hanging(c: Context, frame: int, component: int, joint: int) -> Array:
 
 def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
     """Legendre polynomials of two joints, multiplied."""
-    basis = np.polynomial.legendre
-    one_a, one_b = np.zeros(power_a + 1), np.zeros(power_b + 1)
-    one_a[-1] = one_b[-1] = 1.0
-    return np.asarray(basis.legval(c.u(a), one_a) * basis.legval(c.u(b), one_b))
+    return c.legendre(a, power_a) * c.legendre(b, power_b)
 
 
 def product(c: Context, joints: Sequence[int]) -> Array:
@@ -347,21 +358,32 @@ def product(c: Context, joints: Sequence[int]) -> Array:
 def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
     """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
     was made from, nothing beyond what was seen there; count 1: the column."""
+    if count == 1:
+        return c.once(("standard", name), lambda: _standard(c, name)[1])
+    seen, rank = c.once(("ranks", name), lambda: _ranks(c, name))
+    return np.asarray(seen * bump(rank, knot, count))
+
+
+def _standard(c: Context, name: str) -> tuple[Array, Array]:
+    """(N,) a column less its mean, and in units of its spread; 0 where it does not vary."""
     values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
     middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
     values = np.nan_to_num(values - middle)
     spread = c.frozen(f"spread of {name}", float(values.std()))
-    if spread == 0:
-        return np.zeros(len(values))
-    if count == 1:
-        return np.asarray(values / spread)
+    return values, values / spread if spread else np.zeros(len(values))
+
+
+def _ranks(c: Context, name: str) -> Array:
+    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there; nothing of one that does not vary."""
+    values, _ = _standard(c, name)
+    if not c.frozen(f"spread of {name}", 0.0):
+        return np.zeros((2, len(values)))
     places = np.linspace(0.0, 1.0, QUANTILES)
     quantiles = [
         c.frozen(f"quantile {k} of {name}", q) for k, q in enumerate(np.quantile(values, places).tolist())
     ]
     seen = (values >= quantiles[0]) & (values <= quantiles[-1])
-    rank = np.interp(values, quantiles, places)
-    return np.asarray(seen * bump(rank, knot, count))
+    return np.stack([seen, np.interp(values, quantiles, places)])
 
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
@@ -403,7 +425,7 @@ def named_column(c: Context, name: str) -> Array:
     if name == "since_load_change":
         return hours_since_change(r.load, c.hours)
     if name in ("load", "former_load"):
-        mass = payloads(r.wrench, r.load, _gravity(c))[:, 0]
+        mass = _payloads(c)[:, 0]
         return mass if name == "load" else former(mass, r.load)
     if name == "settle_s":
         return np.asarray(r.settle_s)
@@ -428,13 +450,20 @@ def _late(c: Context, tau: float, form: str) -> Array:
           link, which every move changes; else of former changes of load alone, as they act in the pose of now: see
           `load_memory`
     """
-    if form in ("wrench", "total"):
-        whole = c.wrenches - _own(c) if form == "wrench" else c.wrenches
-        return np.asarray(whole - followed(whole, c.hours, tau))
-    g = _gravity(c)
-    held = load_memory(payloads(c.recording.wrench, c.recording.load, g), c.recording.load, c.hours, tau, form)
-    wrench = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
-    return _by_payload(c, wrench)
+
+    def late() -> Array:
+        if form in ("wrench", "total"):
+            whole = c.wrenches - _own(c) if form == "wrench" else c.wrenches
+            return np.asarray(whole - followed(whole, c.hours, tau))
+        g = _gravity(c)
+        held = load_memory(_payloads(c), c.recording.load, c.hours, tau, form)
+        return _by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
+
+    return c.once(("late", tau, form), late)
+
+
+def _payloads(c: Context) -> Array:
+    return c.once(("payloads",), lambda: payloads(c.recording.wrench, c.recording.load, _gravity(c)))
 
 
 def _gravity(c: Context) -> Array:
@@ -444,16 +473,38 @@ def _gravity(c: Context) -> Array:
 
 
 def _own(c: Context) -> Array:
-    return link_wrenches(c.machine, c.chain, np.zeros((len(c.chain), 6)))
+    return c.once(("own",), lambda: link_wrenches(c.machine, c.chain, np.zeros((len(c.chain), 6))))
 
 
 def _by_payload(c: Context, wrench: Array) -> Array:
     """(N, n+1, 6) on every frame by a wrench (N, 6) at the sensor alone."""
-    return link_wrenches(c.machine, c.chain, wrench) - _own(c)
+    return np.asarray(np.einsum("nfab,nb->nfa", _reaching(c), wrench))
+
+
+def _reaching(c: Context) -> Array:
+    """(N, n+1, 6, 6) what acts on every frame by a unit of every component at the sensor."""
+
+    def reaching() -> Array:
+        sensor = (c.chain[:, -1] @ c.machine.sensor_in_link)[:, None]
+        into = np.swapaxes(c.chain[..., :3, :3], 2, 3)
+        out = np.zeros((*c.chain.shape[:2], 6, 6))
+        out[..., :3, :3] = out[..., 3:, 3:] = into @ sensor[..., :3, :3]
+        arm = sensor[..., :3, 3] - c.chain[..., :3, 3]
+        turns = np.cross(arm[:, :, None], np.swapaxes(sensor[..., :3, :3], 2, 3))  # arm × each axis of the sensor
+        out[..., 3:, :3] = into @ np.swapaxes(turns, 2, 3)
+        return out
+
+    return c.once(("reaching",), reaching)
 
 
 def _deflection(c: Context, wrenches: Array) -> Array:
     return np.asarray(np.einsum("nfab,nfb->nfa", c.compliance, wrenches))
+
+
+def _expected(c: Context, wrench: Array) -> Array:
+    """(N, n+1, 6) deflection of every frame that a wrench (N, 6) at the sensor would make."""
+    given = c.once(("given",), lambda: np.asarray(c.compliance @ _reaching(c)))
+    return np.asarray(np.einsum("nfab,nb->nfa", given, wrench))
 
 
 def body_weight(c: Context, joint: int, what: str) -> Array:
@@ -495,7 +546,7 @@ def sensor_error(
         wrench = c.recording.wrench
     else:
         wrench[:, component] = size
-    return -_deflection(c, _by_payload(c, wrench))
+    return -_expected(c, wrench)
 
 
 def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> Array:
@@ -503,7 +554,7 @@ def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> 
     `covariate`."""
     wrench = np.zeros((len(c.recording), 6))
     wrench[:, component] = covariate(c, name, knot, count)
-    return -_deflection(c, _by_payload(c, wrench))
+    return -_expected(c, wrench)
 
 
 def pulled(c: Context, axis: int, knot: int, count: int) -> Array:
@@ -513,7 +564,7 @@ def pulled(c: Context, axis: int, knot: int, count: int) -> Array:
     to = c.chain[:, 0, :3, 3] - c.chain[:, -1, :3, 3] if axis == 3 else c.chain[:, 0, :3, axis]
     force = to / np.linalg.norm(to, axis=1, keepdims=True) * covariate(c, "reach", knot, count)[:, None]
     wrench = np.concatenate([np.einsum("nji,nj->ni", sensor, force), np.zeros_like(force)], axis=1)
-    return -_deflection(c, _by_payload(c, wrench))
+    return -_expected(c, wrench)
 
 
 def _turned(frame: Array, force: Array, moment: Array) -> Array:

@@ -14,6 +14,7 @@ from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects
 from ppshw.terms.effect import Effect
@@ -74,6 +75,40 @@ def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -
     added = few.whiten(columns) * prior
     both = [multivariate_normal(cov=c).logpdf(few.y) for c in (without + added @ added.T, without)]
     assert few.log_evidence() == pytest.approx(both[0] - both[1], abs=1e-5)
+
+
+def test_a_form_s_evidence_is_its_likelihood_averaged_over_three_sizes(space: Workspace) -> None:
+    """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five."""
+    few = space.with_fit(np.arange(len(space.recording)) < 60)
+    forms = [
+        next(k for k in library(few.context) if k.effect == effect and len(k.columns) == columns)
+        for effect, columns in (("backlash", 1), ("target_moved", 3))
+    ]
+    forms.append(next(k for k in nameless(few.context) if len(k.columns) == 5))
+    tried = Tried(few, forms, 5e-5)
+    evidence = tried.evidence(tried.scores()[None])[0]
+    without = np.eye(few.y.size) + (few.white * few.prior**2) @ few.white.T
+    alone = multivariate_normal(cov=without).logpdf(few.y)
+    for k, form in enumerate(forms):
+        columns = few.whiten(np.stack([tried.value(c) for c in form.columns], axis=2) / tried.scale[tried.index[k]])
+        by_hand = [
+            multivariate_normal(cov=without + size**2 / len(form.columns) * columns @ columns.T).logpdf(few.y) - alone
+            for size in (5e-5 / 3, 5e-5, 15e-5)
+        ]
+        assert evidence[k] == pytest.approx(logsumexp(by_hand) - np.log(3), abs=2e-3)
+
+
+def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> None:
+    c = space.context
+    count = len(space.recording)
+    off = np.zeros((count, 6))
+    off[:, 1] = 1.0
+    on_frames = [link_wrenches(space.machine, c.chain, wrench) for wrench in (space.recording.wrench, off, 0 * off)]
+    by_hand = -np.einsum("nfab,nfb->nfa", c.compliance, on_frames[1] - on_frames[2])
+    assert np.abs(by_hand).max() > 0
+    assert np.allclose(Column("frames", "sensor_error", {"component": 1}).value(c), by_hand, atol=1e-12)
+    gain = Column("frames", "sensor_error", {"component": -1}).value(c)
+    assert np.allclose(gain, -np.einsum("nfab,nfb->nfa", c.compliance, on_frames[0] - on_frames[2]), atol=1e-12)
 
 
 def test_a_reflector_displaced_from_the_start_is_sought_though_one_direction_never_shows(space: Workspace) -> None:
