@@ -43,10 +43,11 @@ _Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 
 @dataclass
 class _Batch:
-    """Candidates with the same number of columns k: which (C,), columns (C, k)."""
+    """Candidates with the same number of columns k: which (C,), columns (C, k), sizes (C, k) expected of them."""
 
     which: NDArray[np.int64]
     columns: NDArray[np.int64]
+    sizes: Array
 
 
 class Tried:
@@ -83,6 +84,7 @@ class Tried:
             _Batch(
                 np.array([c for c, i in enumerate(index) if len(i) == k]),
                 np.array([i for i in index if len(i) == k]),
+                np.array([c.expected() for c in candidates if len(c.columns) == k]),
             )
             for k in sizes
         ]
@@ -155,7 +157,9 @@ class Tried:
 
         def of_part(k: int) -> None:
             batch, info, part = parts[k]
-            out[batch.which[part]] = self._evidence(info[part], of_columns[batch.columns[part]])
+            sizes = batch.sizes[part][..., None]
+            weighed = info[part] * sizes * np.swapaxes(sizes, 1, 2)
+            out[batch.which[part]] = self._evidence(weighed, of_columns[batch.columns[part]] * sizes)
 
         _side_by_side(of_part, range(len(parts)))
         return out.T

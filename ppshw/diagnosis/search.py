@@ -351,7 +351,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.at = len(columns)
         candidate = tried.candidates[f.best]
         columns += [tried.value(c) for c in candidate.columns]
-        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
+        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]] * candidate.expected()).tolist()
         for column in f.near:
             value = tried.value(column)
             columns.append(value)

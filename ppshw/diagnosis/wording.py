@@ -213,7 +213,8 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         f"{candidate.shape.get('time_h', 0):.2f} h ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
         f"({size}).",
-        "target_moved": f"reflector {candidate.covariate} is not where the machine file says"
+        "target_moved": f"reflector {candidate.covariate} "
+        + ("slides away from where" if "tau_h" in candidate.shape else "is not where") + " the machine file says"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
         + f", by {np.linalg.norm(values) * 1e3:.3f} mm.",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",

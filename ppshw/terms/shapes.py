@@ -671,15 +671,19 @@ def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
     return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
 
 
-def target_shift(c: Context, target: int, axis: int, since: float = -1.0, order: int = 0) -> Array:
-    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start); or in
-    the `order`-th half wave over the recording."""
+def target_shift(
+    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0
+) -> Array:
+    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
+    once or with a time constant `slow` [h]; or in the `order`-th half wave over the recording."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
     if order:
         out = out * clock(c, "cosine", order)[:, None, None]
     if since >= 0:
         out = out * step(c, since)[:, None, None]
+    if slow:
+        out = out * (1.0 - np.exp(-np.maximum(c.hours - since, 0.0) / slow))[:, None, None]
     return out
 
 

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.wording import column_of, history_of
+from ppshw.diagnosis.wording import column_of, history_of, sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
@@ -78,24 +78,43 @@ def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -
 
 
 def test_a_form_s_evidence_is_its_likelihood_averaged_over_three_sizes(space: Workspace) -> None:
-    """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five."""
+    """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five, and of a walk,
+    whose finer waves are smaller beforehand."""
     few = space.with_fit(np.arange(len(space.recording)) < 60)
     forms = [
         next(k for k in library(few.context) if k.effect == effect and len(k.columns) == columns)
         for effect, columns in (("backlash", 1), ("target_moved", 3))
     ]
     forms.append(next(k for k in nameless(few.context) if len(k.columns) == 5))
+    forms.append(next(k for k in library(few.context) if k.sizes and k.component == "tx"))
+    assert forms[-1].sizes[3] == forms[-1].sizes[0] / 4
     tried = Tried(few, forms, 5e-5)
     evidence = tried.evidence(tried.scores()[None])[0]
     without = np.eye(few.y.size) + (few.white * few.prior**2) @ few.white.T
     alone = multivariate_normal(cov=without).logpdf(few.y)
     for k, form in enumerate(forms):
         columns = few.whiten(np.stack([tried.value(c) for c in form.columns], axis=2) / tried.scale[tried.index[k]])
+        columns = columns * form.expected()
         by_hand = [
             multivariate_normal(cov=without + size**2 / len(form.columns) * columns @ columns.T).logpdf(few.y) - alone
             for size in (5e-5 / 3, 5e-5, 15e-5)
         ]
         assert evidence[k] == pytest.approx(logsumexp(by_hand) - np.log(3), abs=2e-3)
+
+
+def test_a_reflector_may_slide_away_from_its_seat(space: Workspace) -> None:
+    c = space.context
+    slides = [k for k in library(c) if k.effect == "target_moved" and "tau_h" in k.shape]
+    assert {len(k.columns) for k in slides} == {3}
+    one = slides[len(slides) // 2]
+    since, slow = one.shape["time_h"], one.shape["tau_h"]
+    moved = one.columns[0].value(c)
+    assert not moved[c.hours < since].any()
+    course = np.linalg.norm(moved, axis=(1, 2))
+    after = np.flatnonzero(c.hours > since)
+    assert (np.diff(course[after]) >= 0).all()
+    assert course[after[-1]] == pytest.approx(1.0 - np.exp(-(c.hours[-1] - since) / slow))
+    assert "slides away" in sentence(one, np.array([1e-4, 0.0, 0.0]), 5e-5)
 
 
 def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> None:
