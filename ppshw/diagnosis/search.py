@@ -4,7 +4,7 @@ again beside the others."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Set
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -197,7 +197,7 @@ def _greedy(
     for turn in range(MOST_FINDINGS):
         if progress:
             progress(turn, MOST_FINDINGS + 1)
-        best, evidence = start if start and not found else _best(tried, {f.name[0] for f in found})
+        best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
         p = math.nan if rng is None else p_value(evidence, tried.null(corrected_residual(space), rng))
@@ -272,18 +272,27 @@ def _name(tried: Tried, candidate: int) -> Name:
     return tried.names[int(tried.name_of[candidate])]
 
 
-def _best(tried: Tried, known: Set[str] = frozenset()) -> tuple[int, float]:
+def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
     """The best candidate of the best name, and the name's evidence.
 
-    known  effects found already: what a form left of them goes to the same effect, if that explains most of it
+    found  what a form left of these goes to the same effect, if that explains most of it; but what happened at another
+           moment is something else
     """
     evidence, names = _names(tried)
     chosen = int(np.argmax(names))
     for j in np.argsort(-names):
-        if tried.names[j][0] in known and names[j] > SAME_EFFECT * names[chosen]:
+        if names[j] <= SAME_EFFECT * names[chosen]:
+            break
+        again = _strongest(tried, evidence, int(j))
+        if any(_of_same_effect(tried, tried.candidates[again], tried.candidates[f.best]) for f in found):
             chosen = int(j)
             break
     return _strongest(tried, evidence, chosen), float(names[chosen])
+
+
+def _of_same_effect(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    moments = "time_h" in one.shape and "time_h" in other.shape
+    return one.effect == other.effect and (not moments or _at_once(tried, one, other))
 
 
 def _strongest(tried: Tried, evidence: Array, name: int) -> int:
@@ -351,7 +360,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.at = len(columns)
         candidate = tried.candidates[f.best]
         columns += [tried.value(c) for c in candidate.columns]
-        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]] * candidate.expected()).tolist()
+        prior += (_expected(tried, f) / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
             value = tried.value(column)
             columns.append(value)
@@ -359,6 +368,16 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
             prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, value), 1e-30))
     space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
+
+
+def _expected(tried: Tried, f: Found) -> Array:
+    """(k,) prior rms at the reflectors of a finding's own columns [m]. Many that differ in size beforehand are as large
+    together as they were seen to be, as near forms are."""
+    candidate = tried.candidates[f.best]
+    if not candidate.sizes:
+        return np.full(len(candidate.columns), PRIOR_SD * tried.repeatability)
+    together = NEAR_SD * f.size or PRIOR_SD * tried.repeatability
+    return np.asarray(together * candidate.expected() / np.sqrt(len(candidate.columns)))
 
 
 def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
