@@ -57,6 +57,7 @@ LOADS = frozenset({
 })  # fmt: skip
 # Other names to begin with: so many effects, each at least so loud as the best; another start wins by so much.
 STARTS, LOUD, ANOTHER_START = 3, 0.25, 3.0
+FREE = 6  # columns of a form that may stand for two effects: a base that wanders in all directions
 ROUNDS = 3  # of putting names to the question again
 
 
@@ -84,13 +85,14 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
     """Findings in the order of their strength; the workspace has their columns taken up at its end.
 
     Where several effects act, what explains most at first may be a compromise between them. So when one finding was not
-    enough, and it has a name, the search begins again with others, and the findings that explain the recording best
-    count.
+    enough, or its form is so free that it may stand for two, and it has a name, the search begins again with others, and
+    the findings that explain the recording best count.
     """
     starts = _starts(tried)
     found = _greedy(space, tried, None, rng, progress)
     named = any(f.name[0] != "nameless" for f in found)
-    if named and (len(found) > 1 or any(f.more for f in found)):
+    several = len(found) > 1 or any(f.more or len(tried.candidates[f.best].columns) >= FREE for f in found)
+    if named and several:
         best, chosen = _explained(space, tried, found), None
         for start in starts:
             if _name(tried, start[0]) in [f.name for f in found]:

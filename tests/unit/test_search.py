@@ -154,6 +154,27 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
 
 
+def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the next finding the name that is found already is preferred, where it explains more than half as much: not
+    for what happened at another moment."""
+    some = [k for k in library(space.context) if k.effect in ("zero_shift", "drift")]
+    tried = Tried(space, some, 5e-5)
+    jumps = [j for j, k in enumerate(some) if k.effect == "zero_shift"]
+    first = next(j for j in jumps if some[j].joint == "roll")
+    elsewhere = [j for j in jumps if some[j].joint == "lateral"]
+    at_once = next(j for j in elsewhere if some[j].shape["time_h"] == some[first].shape["time_h"])
+    later = next(j for j in elsewhere if some[j].shape["time_h"] > some[first].shape["time_h"] + 1.0)
+    slow = next(j for j, k in enumerate(some) if k.effect == "drift")
+    found = [Found(first, ("zero_shift", "roll"), 0.0, 100.0, first=100.0)]
+    for again, wanted in ((at_once, at_once), (later, slow)):
+        evidence = np.where(np.isin(np.arange(len(some)), [again, slow]), 50.0, -50.0)
+        names = np.array([{("drift", None): 62.0, ("zero_shift", "lateral"): 55.0}.get(n, -9.0) for n in tried.names])
+        monkeypatch.setattr(module, "_names", lambda _, said=(evidence, names): said)
+        assert module._best(tried, found)[0] == wanted
+
+
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}
