@@ -85,8 +85,8 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
     """Findings in the order of their strength; the workspace has their columns taken up at its end.
 
     Where several effects act, what explains most at first may be a compromise between them. So when one finding was not
-    enough, or its form is so free that it may stand for two, and it has a name, the search begins again with others, and
-    the findings that explain the recording best count.
+    enough, or its form is so free that it may stand for two, and it has a name, the search begins again with others,
+    and the findings that explain the recording best count.
     """
     starts = _starts(tried)
     found = _greedy(space, tried, None, rng, progress)
