@@ -30,6 +30,7 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
+FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 WALK = 12  # half waves over the recording that a base wanders by
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
@@ -61,20 +62,23 @@ class Candidate:
 
 
 def library(
-    c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = ()
-) -> list[Candidate]:
+    c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
+    periods: Sequence[tuple[str, float]] = (),
+) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
     without  effects that are left out
     moments  at which something seems to have happened [h]: what is tried at MOMENTS moments of a recording is tried
              between all visits about them
+    periods  of joints that seem to have a wave: what is tried at half waves over the travel is tried between them
     """
     makers = (
-        _backlash, _friction, _thermal, _tracker_scale, _periodic, _nonlinear, _clearance, _coupling,
-        _moving_weight, _wrench, _creep, _zero_shift, _missing_compliance,
+        _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
+        _wrench, _creep, _zero_shift, _missing_compliance,
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
     found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
+    found += _periodic(c, periods)
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
@@ -212,12 +216,14 @@ def _tracker_scale(c: Context) -> Iterator[Candidate]:
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3)
 
 
-def _periodic(c: Context) -> Iterator[Candidate]:
+def _periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
-        periods = 2 * span / np.arange(6, most + 1)
+        half_waves = np.arange(6.0, most + 1)
+        near = [2 * span / period + np.array(FINER) for joint_name, period in about if joint_name == name]
+        periods = 2 * span / np.unique(np.round(np.concatenate([half_waves, *near]), 3))
         own = own_component(c, k)
         for period in periods:
             args = {"joint": k, "period": float(period)}

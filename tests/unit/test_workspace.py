@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.library import MOMENTS, library
+from ppshw.diagnosis.library import MOMENTS, library, own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of, sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -62,6 +62,31 @@ def test_a_moment_that_was_found_is_sought_between_all_visits_about_it(space: Wo
     between = [t for t in 0.5 * (hours[1:] + hours[:-1]) if abs(t - middle) <= hours[-1] / (2 * MOMENTS)]
     assert len(between) > 3
     assert set(between) <= set(fine)
+
+
+def test_a_wave_that_was_found_is_sought_between_its_neighbours_too(space: Workspace) -> None:
+    """Half a half wave beside the grid costs a tenth of the evidence; then the period is right to a tenth of a half
+    wave."""
+    k, span = 2, float(np.ptp(space.recording.q[:, 2]))
+    name = space.machine.joint_names[k]
+    wave = {"joint": k, "period": 2 * span / 40.5, "phase": "sin"}
+    moved = Column("frame", "wave", wave, k + 1, own_component(space.context, k)).evaluate(space.context)
+    there = replace(space, data=space.data + moved * 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum()))
+
+    def best(about: tuple[tuple[str, float], ...]) -> tuple[float, float]:
+        some = [c for c in library(there.context, periods=about) if c.effect == "periodic_transmission"]
+        assert sum(c.share for c in some) == pytest.approx(1.0)
+        tried = Tried(there, [c for c in some if c.joint == name], 5e-5)
+        evidence = tried.evidence(tried.scores()[None])[0]
+        at = int(np.argmax(evidence))
+        return float(evidence[at]), 2 * span / tried.candidates[at].shape["period"]
+
+    coarse, waves = best(())
+    assert waves == pytest.approx(round(waves))
+    assert abs(waves - 40.5) < 0.6
+    fine, waves = best(((name, 2 * span / waves),))
+    assert abs(waves - 40.5) <= 0.11
+    assert fine > 1.05 * coarse
 
 
 def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -> None:
