@@ -43,11 +43,10 @@ _Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 
 @dataclass
 class _Batch:
-    """Candidates with the same number of columns k: which (C,), columns (C, k), sizes (C, k) expected of them."""
+    """Candidates with the same number of columns k: which (C,), columns (C, k)."""
 
     which: NDArray[np.int64]
     columns: NDArray[np.int64]
-    sizes: Array
 
 
 class Tried:
@@ -84,7 +83,6 @@ class Tried:
             _Batch(
                 np.array([c for c, i in enumerate(index) if len(i) == k]),
                 np.array([i for i in index if len(i) == k]),
-                np.array([c.expected() for c in candidates if len(c.columns) == k]),
             )
             for k in sizes
         ]
@@ -157,9 +155,7 @@ class Tried:
 
         def of_part(k: int) -> None:
             batch, info, part = parts[k]
-            sizes = batch.sizes[part][..., None]
-            weighed = info[part] * sizes * np.swapaxes(sizes, 1, 2)
-            out[batch.which[part]] = self._evidence(weighed, of_columns[batch.columns[part]] * sizes)
+            out[batch.which[part]] = self._evidence(info[part], of_columns[batch.columns[part]])
 
         _side_by_side(of_part, range(len(parts)))
         return out.T

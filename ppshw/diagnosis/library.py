@@ -11,13 +11,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
-Array = NDArray[np.float64]
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
@@ -31,7 +29,6 @@ NAMES = (
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
-WALK = 12  # half waves over the recording that a base wanders by
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
 TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
@@ -41,8 +38,7 @@ OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
 @dataclass(frozen=True)
 class Candidate:
     """effect: the contract's name, or "nameless"; joint, frame, component, covariate: where it sits;
-    columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name;
-    sizes: of its columns relative to each other, beforehand; () where they are alike."""
+    columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name."""
 
     effect: str
     joint: str | None
@@ -53,12 +49,6 @@ class Candidate:
     shape: dict[str, float] = field(default_factory=dict)
     share: float = 1.0
     covariates: tuple[str, ...] = ()
-    sizes: tuple[float, ...] = ()
-
-    def expected(self) -> Array:
-        """(k,) prior sizes of the columns relative to each other, 1 in the mean square."""
-        sizes = np.array(self.sizes or [1.0] * len(self.columns))
-        return np.asarray(sizes / np.sqrt(np.mean(sizes**2)))
 
 
 def library(
@@ -177,16 +167,6 @@ def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
         for comp in range(6):
             yield Candidate("drift", None, "base", COMPONENTS[comp], "time", waves[comp], {}, 0.3)
         yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
-    # a random walk: each wave half as large at twice the pace
-    walks = [
-        tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, WALK + 1))
-        for comp in range(6)
-    ]
-    for comps in (range(3), range(6), *([comp] for comp in range(6))):
-        columns = tuple(column for comp in comps for column in walks[comp])
-        paces = tuple(1.0 / j for _ in comps for j in range(1, WALK + 1))
-        one = COMPONENTS[comps[0]] if len(comps) == 1 else None
-        yield Candidate("drift", None, "base", one, "time", columns, {}, 0.3 if one else 0.5, sizes=paces)
 
 
 def _with_more(c: Context, about: Sequence[float]) -> list[float]:

@@ -362,7 +362,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.at = len(columns)
         candidate = tried.candidates[f.best]
         columns += [tried.value(c) for c in candidate.columns]
-        prior += (_expected(tried, f) / tried.scale[tried.index[f.best]]).tolist()
+        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
             value = tried.value(column)
             columns.append(value)
@@ -370,16 +370,6 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
             prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, value), 1e-30))
     space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
-
-
-def _expected(tried: Tried, f: Found) -> Array:
-    """(k,) prior rms at the reflectors of a finding's own columns [m]. Many that differ in size beforehand are as large
-    together as they were seen to be, as near forms are."""
-    candidate = tried.candidates[f.best]
-    if not candidate.sizes:
-        return np.full(len(candidate.columns), PRIOR_SD * tried.repeatability)
-    together = NEAR_SD * f.size or PRIOR_SD * tried.repeatability
-    return np.asarray(together * candidate.expected() / np.sqrt(len(candidate.columns)))
 
 
 def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:

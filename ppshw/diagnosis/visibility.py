@@ -275,8 +275,7 @@ def evidence_of(tried: Tried, name: Name, scores: Array) -> Array:
     for batch, info in zip(tried._batches, tried._info0, strict=True):
         inside = mine[batch.which]
         if inside.any():
-            part = {"which": batch.which[inside], "columns": batch.columns[inside], "sizes": batch.sizes[inside]}
-            alone._batches.append(replace(batch, **part))
+            alone._batches.append(replace(batch, which=batch.which[inside], columns=batch.columns[inside]))
             alone._info.append(info[inside])
     return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + tried.log_share[mine], axis=1))
 

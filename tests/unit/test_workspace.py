@@ -103,23 +103,19 @@ def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -
 
 
 def test_a_form_s_evidence_is_its_likelihood_averaged_over_three_sizes(space: Workspace) -> None:
-    """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five, and of a walk,
-    whose finer waves are smaller beforehand."""
+    """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five."""
     few = space.with_fit(np.arange(len(space.recording)) < 60)
     forms = [
         next(k for k in library(few.context) if k.effect == effect and len(k.columns) == columns)
         for effect, columns in (("backlash", 1), ("target_moved", 3))
     ]
     forms.append(next(k for k in nameless(few.context) if len(k.columns) == 5))
-    forms.append(next(k for k in library(few.context) if k.sizes and k.component == "tx"))
-    assert forms[-1].sizes[3] == forms[-1].sizes[0] / 4
     tried = Tried(few, forms, 5e-5)
     evidence = tried.evidence(tried.scores()[None])[0]
     without = np.eye(few.y.size) + (few.white * few.prior**2) @ few.white.T
     alone = multivariate_normal(cov=without).logpdf(few.y)
     for k, form in enumerate(forms):
         columns = few.whiten(np.stack([tried.value(c) for c in form.columns], axis=2) / tried.scale[tried.index[k]])
-        columns = columns * form.expected()
         by_hand = [
             multivariate_normal(cov=without + size**2 / len(form.columns) * columns @ columns.T).logpdf(few.y) - alone
             for size in (5e-5 / 3, 5e-5, 15e-5)
