@@ -76,7 +76,7 @@ def diagnose(
         believed[list(gross.visits)] = False
         space = prepare(machine, recording, believed, None, calming)
     tell(2, 10)
-    tried, found = _look(space, without, seed, (), (), lambda k: tell(2 + k, 10))
+    tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
         # more; and a third time where visits come back that only looked wrong
@@ -89,11 +89,9 @@ def diagnose(
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
         space = prepare(machine, recording, believed, base, calming)
-        best = [tried.candidates[f.best] for f in found]
-        moments = tuple(k.shape["time_h"] for k in best if "time_h" in k.shape)
-        periods = tuple((str(k.joint), k.shape["period"]) for k in best if "period" in k.shape)
+        before = [tried.candidates[f.best] for f in found]
         del tried  # its columns are most of the memory: the next look lays its own
-        tried, found = _look(space, without, seed, moments, periods, lambda k: tell(6 + k, 10))
+        tried, found = _look(space, without, seed, before, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
     scatter = None if riddle or "unsettled" in without else scatter_of(space, seed)
@@ -110,9 +108,11 @@ def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | No
 
 
 def _look(
-    space: Workspace, without: frozenset[str], seed: int, moments: tuple[float, ...],
-    periods: tuple[tuple[str, float], ...], tell: Callable[[int], None],
-) -> tuple[Tried, list[Found]]:  # fmt: skip
+    space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], tell: Callable[[int], None]
+) -> tuple[Tried, list[Found]]:
+    """before: what an earlier look found, whose moments and periods are tried more finely."""
+    moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
+    periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
     candidates = library(space.context, without, moments, periods) + nameless(space.context)
     tried = Tried(space, candidates, repeatability, without)

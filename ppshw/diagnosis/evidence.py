@@ -245,13 +245,13 @@ def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array,
     white = np.einsum("nij,fcnj->fcni", space.root[space.fit], jacobian[:, :, space.fit], optimize=True)
     white = white.astype(np.float32)
     values: dict[tuple[object, ...], Array] = {}
-    alike: dict[tuple[int, int], list[int]] = {}
+    alike: dict[tuple[int, int], list[tuple[int, Array]]] = {}
     for k, column in enumerate(columns):
         if column.on == "frame":
-            alike.setdefault((column.frame, column.component), []).append(k)
             key = _key(column)[1:3]
             if key not in values:
                 values[key] = column.value(space.context)
+            alike.setdefault((column.frame, column.component), []).append((k, values[key]))
             continue
         raw = column.evaluate(space.context)
         scale[k] = max(np.sqrt((raw**2).sum() / readings), 1e-30)
@@ -259,8 +259,8 @@ def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array,
     # columns on one component of a frame are that column of the Jacobian times a function of the visits
     for (f, c), members in alike.items():
         for at in range(0, len(members), BLOCK):
-            which = members[at : at + BLOCK]
-            block = np.array([values[_key(columns[k])[1:3]] for k in which])
+            which = [k for k, _ in members[at : at + BLOCK]]
+            block = np.array([value for _, value in members[at : at + BLOCK]])
             scale[which] = np.maximum(np.sqrt(block**2 @ squares[f, c] / readings), 1e-30)
             unit = (block[:, space.fit] / scale[which][:, None]).astype(np.float32)
             half[which, :rows] = (unit[:, :, None] * white[f, c]).reshape(len(which), rows)
