@@ -128,15 +128,14 @@ def true_shares(clean: Workspace, roots: Array, fields: Array) -> Array:
 
 def identified_scores(tried: Tried, rng: np.random.Generator) -> Array:
     """(DRAWS, K) scores of all columns when there is nothing but noise as it was identified."""
-    white = rng.standard_normal((DRAWS, tried.half.shape[1]), dtype=np.float32)
-    return np.asarray(white @ tried.half.T, dtype=float)
+    return tried.laid.of_noise(rng, DRAWS).T
 
 
 def drawn_scores(tried: Tried, roots: Array, rng: np.random.Generator) -> Array:
     """The same when the noise is as the simulated machine draws it."""
     space = tried.space
     noise = roots @ rng.standard_normal((*roots.shape[:2], DRAWS))
-    return np.asarray(tried._product(space.absorb(space.whiten(noise))).T, dtype=float)
+    return np.asarray(tried.laid.product(space.absorb(space.whiten(noise))).T, dtype=float)
 
 
 def detected(tried: Tried, found: list[Sight], noise: Array, enough: float) -> list[float]:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
+from ppshw.diagnosis.laid import Key, Laid, key_of
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
@@ -34,11 +35,10 @@ LEAST_SHARE = 3e-4
 # better explanation: real forms differ from the library's by this share of the evidence or so (a guess, seen to be
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
-CHUNK, BLOCK = 512, 128  # columns at a time: in products; where they are laid. Memory anew costs more than arithmetic
-MOST_THREADS = 4  # each holds a chunk of its own: 8 MB for 450 visits, 110 MB for 6,000
+CHUNK = 512  # candidates at a time
+MOST_THREADS = 4  # each holds a chunk of its own
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
-_Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 
 
 @dataclass
@@ -50,11 +50,10 @@ class _Batch:
 
 
 class Tried:
-    """All candidates over one workspace: their columns whitened, of unit size, and less what the base model absorbs.
+    """All candidates over one workspace: their columns laid out, of unit size, and what is left of them beside the base
+    model.
 
-    half       (K, F·3T + p)  rows whose products are ZᵀV⁻¹Z, in single precision: there are some 35,000 of them
-    projected  (K, F·3T)      their first part, P Z
-    plain, seen  (K,)      ZᵀR⁻¹Z and ZᵀV⁻¹Z of every column
+    scale, seen  (K,)  of every column: rms at the reflectors per unit [m]; ZᵀV⁻¹Z
     without      effects that were left out of the candidates
     """
 
@@ -66,13 +65,13 @@ class Tried:
         self.candidates = list(candidates)
         self.repeatability = repeatability
         self.space = space
-        unique: dict[_Key, int] = {}
+        unique: dict[Key, int] = {}
         columns: list[Column] = []
         index = []
         for candidate in candidates:
             found = []
             for column in candidate.columns:
-                at = unique.setdefault(_key(column), len(unique))
+                at = unique.setdefault(key_of(column), len(unique))
                 if at == len(columns):
                     columns.append(column)
                 found.append(at)
@@ -94,28 +93,19 @@ class Tried:
         self._starts = np.searchsorted(self.name_of[self._sorted], np.arange(len(self.names)))
         self._nameless = np.array([effect == "nameless" for effect, _ in self.names])
         self._crossed: dict[str, Single] = {}
-        self._values: dict[str, Array] = {}
-        self.half, self.scale, self.plain, self._absorbing = _halves(space, columns)
-        self.projected = self.half[:, : space.y.size]
-        self.seen = np.einsum("kr,kr->k", self.half, self.half).astype(float)
+        self._values: dict[str, tuple[Array, Array, Array]] = {}
+        self.laid = Laid(space, columns)
+        self.scale = self.laid.scale
+        self.seen = self.laid.seen()
         # what the base model takes whole leaves nothing but the stiffness of its prior, which is no evidence
-        visible = self.seen > LEAST_SHARE * np.maximum(self.plain, 1e-30)
+        visible = self.seen > LEAST_SHARE * np.maximum(self.laid.plain, 1e-30)
         self.log_share = np.where([visible[i].any() for i in self.index], self.log_share, -np.inf)
-        self._info0 = [self._information(batch.columns) for batch in self._batches]
-        self._plain_scores = self._product(space.absorb(space.y[:, None]))[:, 0]
+        self._info0 = [
+            self.laid.information(batch.columns) if k > 1 else self.seen[batch.columns][:, :, None]
+            for k, batch in zip(sizes, self._batches, strict=True)
+        ]
+        self._plain_scores = self.laid.product(space.absorb(space.y[:, None]))[:, 0]
         self.update()
-
-    def _information(self, columns: NDArray[np.int64]) -> Array:
-        """(C, k) columns → (C, k, k) information of each candidate, given the base model alone."""
-        count, k = columns.shape
-        if k == 1:
-            return np.asarray(self.seen[columns][:, :, None])
-        info = np.empty((count, k, k))
-        step = max(1, CHUNK // k)
-        for at in range(0, count, step):
-            block = self.half[columns[at : at + step]]  # (c, k, R)
-            info[at : at + step] = block @ np.swapaxes(block, 1, 2)
-        return info
 
     def update(self, taken: Sequence[str] = ()) -> None:
         """Account for what the workspace has taken up now.
@@ -124,10 +114,10 @@ class Tried:
         """
         space = self.space
         if not taken:
-            self._cross = self._product(space.absorbed)  # (K, f)
+            self._cross = self.laid.product(space.absorbed)  # (K, f)
         else:
             new = [k for k, name in enumerate(taken) if name not in self._crossed]
-            for k, product in zip(new, self._product(space.absorbed[:, new]).T, strict=True):
+            for k, product in zip(new, self.laid.product(space.absorbed[:, new]).T, strict=True):
                 self._crossed[taken[k]] = product.astype(np.float32)
             self._cross = np.stack([self._crossed[name] for name in taken], axis=1).astype(float)
         self._info = []
@@ -135,11 +125,14 @@ class Tried:
             w = self._cross[batch.columns]  # (C, k, f)
             self._info.append(info - w @ space.middle @ np.swapaxes(w, 1, 2))
 
-    def value(self, column: Column) -> Array:
-        """(N, 3T) what a column does to the reflectors per unit [m], worked out once."""
+    def value(self, column: Column) -> tuple[Array, Array, Array]:
+        """What a column does to the reflectors per unit, worked out once: (N, 3T) in metres; whitened, and that less
+        what the base model takes of it, (F·3T,) each."""
         key = repr(column)
         if key not in self._values:
-            self._values[key] = column.evaluate(self.space.context)
+            raw = column.evaluate(self.space.context)
+            white = self.space.whiten(raw[..., None])
+            self._values[key] = raw, white[:, 0], self.space.absorb(white)[:, 0]
         return self._values[key]
 
     # --- evidence ------------------------------------------------------------------------------------------------
@@ -180,11 +173,6 @@ class Tried:
         space = self.space
         return self._plain_scores - self._cross @ (space.middle @ (space.absorbed.T @ space.y))
 
-    def _product(self, absorbed: Array) -> Array:
-        """Zᵀ P x of every column for P x (F·3T, k): Z = P Z + A c, so that nothing large is cancelled."""
-        whole = np.concatenate([absorbed, self._absorbing.T @ absorbed])
-        return np.asarray(self.half @ whole.astype(np.float32), dtype=float)
-
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
         weighted = (evidence + self.log_share).T[self._sorted]
@@ -200,81 +188,18 @@ class Tried:
 
         residual  (F, 3T) whitened and corrected for leverage
         """
-        fit, size = residual.shape
-        single = residual.astype(np.float32)
-        parts = np.empty((len(self.projected), fit), dtype=np.float32)
-
-        def of_columns(at: int) -> None:
-            block = self.projected[at : at + BLOCK]
-            np.einsum("kvr,vr->kv", block.reshape(len(block), fit, size), single, out=parts[at : at + BLOCK])
-
-        _side_by_side(of_columns, range(0, len(parts), BLOCK))
-        taken = np.einsum("vrf,vr->vf", self.space.absorbed.reshape(fit, size, self.space.absorbed.shape[1]), residual)
-        parts -= (self._cross @ self.space.middle @ taken.T).astype(np.float32)
-        signs = rng.choice(np.array([-1.0, 1.0], dtype=np.float32), size=(draws, fit))
-        return np.asarray(self.by_name(self.evidence(np.asarray(signs @ parts.T, dtype=float))).max(axis=1))
+        space = self.space
+        signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
+        turned = (signs[:, :, None] * residual).reshape(draws, -1).T
+        scores = self.laid.product(space.absorb(turned))
+        scores -= self._cross @ (space.middle @ (space.absorbed.T @ turned))
+        return np.asarray(self.by_name(self.evidence(scores.T)).max(axis=1))
 
 
 def _side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
     """Parts that write to places of their own, on several cores: each is a product in one thread (`one_thread`)."""
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as threads:
         list(threads.map(work, parts))
-
-
-def _key(column: Column) -> _Key:  # columns hold dictionaries, which do not hash
-    return column.on, column.function, tuple(sorted(column.args.items())), column.frame, column.component
-
-
-def _halves(space: Workspace, columns: Sequence[Column]) -> tuple[Single, Array, Array, Array]:
-    """(K, F·3T + p) see Tried; (K,) rms at the reflectors per unit; (K,) ZᵀR⁻¹Z of the columns at unit rms; A.
-
-    With A = X Λ½ W, whose columns are orthogonal with squared lengths s² (R⁻½ in X and Z):
-    c = (1 + s²)⁻¹ Aᵀ Z, P Z = Z − A c, and Zᵀ V⁻¹ Z = |P Z|² + |c|².
-    """
-    scaled = space.white * space.prior
-    lengths, turn = np.linalg.eigh(scaled.T @ scaled)
-    exact = scaled @ turn
-    absorbing = exact.astype(np.float32)
-    shrink = (1.0 / (1.0 + np.maximum(lengths, 0.0))).astype(np.float32)
-    rows = space.y.size
-    half = np.empty((len(columns), rows + len(lengths)), dtype=np.float32)
-    scale = np.empty(len(columns))
-    readings = max(int(space.recording.seen.sum()), 1)
-    jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))
-    squares = (jacobian**2).sum(axis=3)  # (n+1, 6, N)
-    white = np.einsum("nij,fcnj->fcni", space.root[space.fit], jacobian[:, :, space.fit], optimize=True)
-    white = white.astype(np.float32)
-    values: dict[tuple[object, ...], Array] = {}
-    alike: dict[tuple[int, int], list[tuple[int, Array]]] = {}
-    for k, column in enumerate(columns):
-        if column.on == "frame":
-            key = _key(column)[1:3]
-            if key not in values:
-                values[key] = column.value(space.context)
-            alike.setdefault((column.frame, column.component), []).append((k, values[key]))
-            continue
-        raw = column.evaluate(space.context)
-        scale[k] = max(np.sqrt((raw**2).sum() / readings), 1e-30)
-        half[k, :rows] = (space.whiten(raw[..., None])[:, 0] / scale[k]).astype(np.float32)
-    # columns on one component of a frame are that column of the Jacobian times a function of the visits
-    for (f, c), members in alike.items():
-        for at in range(0, len(members), BLOCK):
-            which = [k for k, _ in members[at : at + BLOCK]]
-            block = np.array([value for _, value in members[at : at + BLOCK]])
-            scale[which] = np.maximum(np.sqrt(block**2 @ squares[f, c] / readings), 1e-30)
-            unit = (block[:, space.fit] / scale[which][:, None]).astype(np.float32)
-            half[which, :rows] = (unit[:, :, None] * white[f, c]).reshape(len(which), rows)
-    plain = np.empty(len(columns))
-
-    def absorb(at: int) -> None:
-        part = half[at : at + CHUNK, :rows]
-        plain[at : at + CHUNK] = np.einsum("kr,kr->k", part, part)
-        inner = (part @ absorbing) * shrink
-        half[at : at + CHUNK, rows:] = inner
-        part -= inner @ absorbing.T
-
-    _side_by_side(absorb, range(0, len(columns), CHUNK))
-    return half, scale, plain, exact
 
 
 def p_value(observed: float, null: Array) -> float:

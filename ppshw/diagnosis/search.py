@@ -356,20 +356,20 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
     if not found:
         space.forget()
         return
-    columns: list[Array] = []
+    laid: list[tuple[Array, Array, Array]] = []
     prior: list[float] = []
     for f in found:
-        f.at = len(columns)
+        f.at = len(laid)
         candidate = tried.candidates[f.best]
-        columns += [tried.value(c) for c in candidate.columns]
+        laid += [tried.value(c) for c in candidate.columns]
         prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
-            value = tried.value(column)
-            columns.append(value)
+            laid.append(tried.value(column))
             # what wanders does so with half the amplitude at twice the pace, like a random walk
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
-            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, value), 1e-30))
-    space.take_up(np.stack(columns, axis=2), np.maximum(prior, 1e-30))
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, laid[-1][0]), 1e-30))
+    raw, white, absorbed = (np.stack(each, axis=-1) for each in zip(*laid, strict=True))
+    space.take_up(raw, np.maximum(prior, 1e-30), (white, absorbed))
 
 
 def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:

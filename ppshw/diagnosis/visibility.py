@@ -117,8 +117,7 @@ def least(tried: Tried) -> float:
     The search asks its own recording with random signs; here white noise is asked, before any residual.
     """
     rng = np.random.default_rng(NOISE_DRAWS)
-    white = rng.standard_normal((NOISE_DRAWS, tried.half.shape[1]), dtype=np.float32)
-    chance = tried.by_name(evidence_alone(tried, np.asarray(white @ tried.half.T, dtype=float))).max(axis=1)
+    chance = tried.by_name(evidence_alone(tried, tried.laid.of_noise(rng, NOISE_DRAWS).T)).max(axis=1)
     return max(LEAST_FIRST, float(np.quantile(chance, 1.0 - FIRST)))
 
 
@@ -126,28 +125,24 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     """(C,) what is left of every form, its columns at unit rms and alike, to whoever searches; and the share (C,) that
     the base model itself leaves.
 
-    The rows of `half` are [P z, c], c = (1 + s²)⁻¹ Aᵀ z with A = R⁻½ X Λ½ W, AᵀA = diag s². So zᵀR⁻¹z = zᵀV⁻¹z +
-    Σ c² (1 + s²); and with prior strengths κ times smaller, one κ for every parameter, D = κ² − 1 and
-    B = 1 + W s² Wᵀ,
+    With G = (1 + s²)^−½ Aᵀz, A = R⁻½ X Λ½ W, AᵀA = diag s² (`laid`), zᵀR⁻¹z = zᵀV⁻¹z + |G|²; and with prior strengths κ
+    times smaller, one κ for every parameter, D = κ² − 1 and B = 1 + W s² Wᵀ,
 
-        zᵀV₁⁻¹z = zᵀV⁻¹z + hᵀ (1 + D½ B⁻¹ D½)⁻¹ h,    h = D½ W c
+        zᵀV₁⁻¹z = zᵀV⁻¹z + hᵀ (1 + D½ B⁻¹ D½)⁻¹ h,    h = D½ W (1 + s²)^−½ G
     """
-    space = tried.space
-    scaled = space.white * space.prior
-    lengths, turn = np.linalg.eigh(scaled.T @ scaled)
-    lengths = 1.0 + np.maximum(lengths, 0.0)
-    freed = np.sqrt(np.maximum(space.caution**2 - 1.0, 0.0))[:, None] * turn
-    inner = np.eye(len(lengths)) + (freed / lengths) @ freed.T
-    regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T.astype(np.float32)
-    shrunk = tried.half[:, space.y.size :]
+    laid, caution = tried.laid, tried.space.caution
+    lengths = 1.0 + laid.lengths
+    freed = np.sqrt(np.maximum(caution**2 - 1.0, 0.0))[:, None] * laid.turn / np.sqrt(lengths)
+    inner = np.eye(len(lengths)) + freed @ freed.T
+    regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T
     seen, more = np.empty(len(tried.candidates)), np.empty((len(tried.candidates), 2))
     for batch, info in zip(tried._batches, tried._info0, strict=True):
         seen[batch.which] = info.sum(axis=(1, 2))
         for at in range(0, len(batch.which), CHUNK):
             part = slice(at, at + CHUNK)
-            c = shrunk[batch.columns[part]].sum(axis=1)
-            more[batch.which[part], 0] = c.astype(float) ** 2 @ lengths
-            more[batch.which[part], 1] = ((c @ regained).astype(float) ** 2).sum(axis=1)
+            taken = laid.taken[batch.columns[part]].sum(axis=1)
+            more[batch.which[part], 0] = (taken**2).sum(axis=1)
+            more[batch.which[part], 1] = ((taken @ regained) ** 2).sum(axis=1)
     plain = np.maximum(seen + more[:, 0], 1e-30)
     shares = (seen + more[:, 1]) / plain
     # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a
@@ -243,21 +238,21 @@ def _tenths(mine: NDArray[np.bool_], values: Array, weights: Array) -> tuple[flo
 
 
 def directions(tried: Tried, forms: NDArray[np.int64], coefficients: Sequence[Array] | None = None) -> Array:
-    """(F, R) what each form shows once the base model had its share, in whitened readings, of unit length.
+    """(F, R) whitened readings that each form shows, √λ = 1 once the base model had its share.
 
     coefficients  of each form's columns at unit rms; all alike by default
     """
-    out = np.empty((len(forms), tried.half.shape[1]))
+    out = np.empty((len(forms), len(tried.space.y)))
     for k, form in enumerate(forms):
-        columns = tried.half[tried.index[form]].astype(float)
-        whole = columns.sum(axis=0) if coefficients is None else coefficients[k] @ columns
-        out[k] = whole / max(float(np.linalg.norm(whole)), 1e-12)
-    return out
+        columns = tried.laid.rows(tried.index[form])
+        out[k] = columns.sum(axis=0) if coefficients is None else coefficients[k] @ columns
+    seen = np.einsum("fr,rf->f", out, tried.space.absorb(out.T))
+    return np.asarray(out / np.sqrt(np.maximum(seen, 1e-24))[:, None])
 
 
 def across(tried: Tried, along: Array) -> Array:
-    """(F, K) scores of all columns for fields along the directions, √λ = 1."""
-    return np.asarray((tried.half @ along.T.astype(np.float32)).T, dtype=float)
+    """(F, K) scores of all columns for fields along the directions."""
+    return tried.laid.product(tried.space.absorb(along.T)).T
 
 
 def evidence_alone(tried: Tried, scores: Array) -> Array:

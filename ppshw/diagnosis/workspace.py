@@ -112,14 +112,16 @@ class Workspace:
         """Nothing taken up."""
         self.take_up(np.zeros((*self.data.shape, 0)), np.zeros(0))
 
-    def take_up(self, columns: Array, prior: Array) -> None:
+    def take_up(self, columns: Array, prior: Array, seen: tuple[Array, Array] | None = None) -> None:
         """Let the model have exactly these further columns (N, 3T, k) with prior standard deviations (k,).
+
+        seen  the columns whitened and less what the base model takes of them, (F·3T, k) each, where that is known
 
         What they absorb beyond the base model is a projection of rank k: P' = P − P F M Fᵀ P, M = (Λ⁻¹ + Fᵀ P F)⁻¹.
         """
         self.taken, self.taken_prior = columns, prior
-        self.taken_white = self.whiten(columns)
-        self.absorbed = self.absorb(self.taken_white)
+        white = self.whiten(columns) if seen is None else seen[0]
+        self.taken_white, self.absorbed = (white, self.absorb(white)) if seen is None else seen
         self.middle = np.linalg.inv(self.taken_white.T @ self.absorbed + np.diag(1.0 / prior**2))
 
     def log_evidence(self) -> float:

@@ -220,7 +220,7 @@ def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(s
     some = [k for k in library(space.context) if k.effect in ("creep", "wrench_error")] + nameless(space.context)
     creep = next(j for j, k in enumerate(some) if k.effect == "creep" and k.joint == NAME)
     tried = Tried(space, some, 5e-5)
-    shows = [float((tried.seen / tried.plain)[tried.index[j]].min()) for j in range(len(some))]
+    shows = [float((tried.seen / tried.laid.plain)[tried.index[j]].min()) for j in range(len(some))]
     misread = max((j for j, k in enumerate(some) if k.effect == "wrench_error"), key=lambda j: shows[j])
     found = Found(creep, ("creep", NAME), 0.0, 1000.0, first=1000.0)
     frame, component = some[creep].columns[0].frame, some[creep].columns[0].component

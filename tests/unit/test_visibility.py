@@ -52,7 +52,7 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
 
 def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:
     rng = np.random.default_rng(8)
-    noise = rng.normal(size=(200, tried.half.shape[1])) @ tried.half.T.astype(float)
+    noise = tried.laid.of_noise(rng, 200).T
     found, enough = [], least(tried)
     for sight in sights(tried):
         if not sight.visible:  # the base model takes the typical form whole
@@ -107,7 +107,7 @@ def test_evidence_of_one_name_is_that_among_all_names(tried: Tried) -> None:
 
 
 def test_chance_alone_reaches_what_a_finding_needs_in_three_of_a_hundred_at_most(tried: Tried) -> None:
-    noise = np.random.default_rng(5).normal(size=(300, tried.half.shape[1])) @ tried.half.T.astype(float)
+    noise = tried.laid.of_noise(np.random.default_rng(5), 300).T
     alarms = (tried.by_name(tried.evidence(noise)).max(axis=1) >= least(tried)).mean()
     assert alarms <= 0.06  # 3 % and three standard deviations of 300 draws
 

@@ -115,7 +115,8 @@ def test_a_form_s_evidence_is_its_likelihood_averaged_over_three_sizes(space: Wo
     without = np.eye(few.y.size) + (few.white * few.prior**2) @ few.white.T
     alone = multivariate_normal(cov=without).logpdf(few.y)
     for k, form in enumerate(forms):
-        columns = few.whiten(np.stack([tried.value(c) for c in form.columns], axis=2) / tried.scale[tried.index[k]])
+        raw = np.stack([c.evaluate(few.context) for c in form.columns], axis=2)
+        columns = few.whiten(raw / tried.scale[tried.index[k]])
         by_hand = [
             multivariate_normal(cov=without + size**2 / len(form.columns) * columns @ columns.T).logpdf(few.y) - alone
             for size in (5e-5 / 3, 5e-5, 15e-5)
@@ -156,11 +157,11 @@ def test_a_reflector_displaced_from_the_start_is_sought_though_one_direction_nev
     always = [k for k in library(space.context) if k.effect == "target_moved" and not k.shape]
     assert len(always) == 3
     tried = Tried(space, always, 5e-5)
-    whole = tried.seen[np.concatenate(tried.index)] / tried.plain[np.concatenate(tried.index)] < 3e-4
+    whole = tried.seen[np.concatenate(tried.index)] / tried.laid.plain[np.concatenate(tried.index)] < 3e-4
     assert whole.reshape(3, 3).sum(axis=1).tolist() == [1, 1, 1]
     assert np.isfinite(tried.log_share).all()
-    field = 5e-5 * sum(tried.half[k].astype(float) for k in tried.index[1])
-    evidence = tried.evidence((tried.half @ field.astype(np.float32))[None].astype(float))[0]
+    field = 5e-5 * tried.laid.rows(tried.index[1]).sum(axis=0)
+    evidence = tried.evidence(tried.laid.product(space.absorb(field[:, None])).T)[0]
     assert np.argmax(evidence) == 1
     assert evidence[1] > 20
 
@@ -357,7 +358,7 @@ def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_
     some = [k for k in library(c) if k.effect in ("backlash", "target_moved", "tracker_scale")] + nameless(c)[::300]
     tried = Tried(space, some, 5e-5)
     taken = next(k for k in some if k.effect == "backlash").columns + some[-1].columns
-    values = np.stack([tried.value(k) for k in taken], axis=2)
+    values = np.stack([k.evaluate(tried.space.context) for k in taken], axis=2)
     space.take_up(values, np.full(len(taken), 1e-4))
     for _ in range(2):  # the second time nothing is worked out again
         tried.update([repr(k) for k in taken])

@@ -1,0 +1,173 @@
+"""Columns of all candidates laid over a workspace: whitened, of unit size, kept as what they are made of.
+
+A column on one component of a frame is a function of the visits times that component's column of the Jacobian. Products
+with it are products with the function alone, and the function is all that is kept: of three reflectors a ninth of the
+readings that it moves. With Z = whitened columns at unit rms, A = X Λ½ W whose columns are orthogonal with squared
+lengths s² (R⁻½ in X and Z), and G = (1 + s²)⁻½ Aᵀ Z,
+
+    Zᵀ V⁻¹ Z = Zᵀ Z − Gᵀ G                         V as in `workspace`; docs/diagnosis.md §2
+
+which is worked out in double precision, as the base model may take nearly all of a column. Functions themselves are
+kept in single precision: some 35,000 of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import Column
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Single = NDArray[np.float32]
+Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
+BLOCK = 512  # columns at a time in double precision
+NOWHERE = -1
+
+
+class Laid:
+    """K columns over the F visits of a workspace's fit, R = F·3T whitened readings.
+
+    scale      (K,)    rms at the reflectors per unit, over all visits [m]
+    plain      (K,)    ZᵀR⁻¹Z at unit rms
+    absorbing  (R, p)  A;  lengths (p,) s²;  turn (p, p) W
+    taken      (K, p)  G
+    """
+
+    def __init__(self, space: Workspace, columns: Sequence[Column]) -> None:
+        self.space = space
+        scaled = space.white * space.prior
+        lengths, self.turn = np.linalg.eigh(scaled.T @ scaled)
+        self.lengths = np.maximum(lengths, 0.0)
+        self.absorbing = scaled @ self.turn
+        fit, rows = int(space.fit.sum()), space.rows
+        self.scale = np.empty(len(columns))
+        self._place = np.empty(len(columns), dtype=np.int64)  # rows are sorted by where they act
+        self._group = np.full(len(columns), NOWHERE)
+        of_group, elsewhere = _sorted(columns)
+        self._values = np.empty((sum(map(len, of_group.values())), fit), dtype=np.float32)
+        self._fields = np.empty((len(elsewhere), fit * rows), dtype=np.float32)
+        jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))  # (n+1, 6, N, 3T)
+        readings = max(int(space.recording.seen.sum()), 1)
+        known: dict[tuple[object, ...], Array] = {}
+        self._white: list[Array] = []  # (F, 3T) of every group
+        self._spans: list[slice] = []
+        at = 0
+        for (frame, component), members in of_group.items():
+            there = jacobian[frame, component]
+            squares = (there**2).sum(axis=1)
+            self._place[members] = np.arange(at, at + len(members))
+            self._group[members] = len(self._white)
+            self._white.append(np.einsum("nij,nj->ni", space.root[space.fit], there[space.fit]))
+            self._spans.append(slice(at, at + len(members)))
+            for k in members:
+                key = key_of(columns[k])[1:3]
+                if key not in known:
+                    known[key] = columns[k].value(space.context)
+                self.scale[k] = max(np.sqrt(known[key] ** 2 @ squares / readings), 1e-30)
+                self._values[at] = known[key][space.fit] / self.scale[k]
+                at += 1
+        self._place[elsewhere] = np.arange(at, at + len(elsewhere))
+        for row, k in enumerate(elsewhere):
+            raw = columns[k].evaluate(space.context)
+            self.scale[k] = max(np.sqrt((raw**2).sum() / readings), 1e-30)
+            self._fields[row] = space.whiten(raw[..., None])[:, 0] / self.scale[k]
+        self._weights = np.array([(white**2).sum(axis=1) for white in self._white]).reshape(-1, fit)
+        self.plain = self._squares()[self._place]
+        self.taken = self._double(self.absorbing)[self._place] / np.sqrt(1.0 + self.lengths)
+
+    def product(self, x: Array) -> Array:
+        """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
+        out = np.empty((len(self.scale), x.shape[1]))
+        for along, span in self._along(x):
+            out[span] = self._values[span] @ along.astype(np.float32)
+        out[len(self._values) :] = self._fields @ x.astype(np.float32)
+        return out[self._place]
+
+    def information(self, columns: Indices) -> Array:
+        """(C, k) columns of C candidates → (C, k, k) ZᵀV⁻¹Z of each."""
+        count, k = columns.shape
+        out = np.empty((count, k, k))
+        step = max(1, BLOCK // k)
+        for at in range(0, count, step):
+            part = columns[at : at + step]
+            groups = self._group[part]
+            together = (groups == groups[:, :1]).all(axis=1) & (groups[:, 0] != NOWHERE)
+            inner = np.empty((len(part), k, k))
+            values = self._values[self._place[part[together]]].astype(float)
+            inner[together] = (values * self._weights[groups[together, 0]][:, None]) @ np.swapaxes(values, 1, 2)
+            for c in np.flatnonzero(~together):
+                rows = self.rows(part[c])
+                inner[c] = rows @ rows.T
+            taken = self.taken[part]
+            out[at : at + step] = inner - taken @ np.swapaxes(taken, 1, 2)
+        return out
+
+    def seen(self) -> Array:
+        """(K,) ZᵀV⁻¹Z of every column alone."""
+        return np.asarray(self.plain - np.einsum("kp,kp->k", self.taken, self.taken))
+
+    def rows(self, which: Indices) -> Array:
+        """(k, R) some of the columns as whitened readings."""
+        out = np.empty((len(which), self._fields.shape[1]))
+        for row, k in enumerate(which):
+            place, group = self._place[k], self._group[k]
+            if group == NOWHERE:
+                out[row] = self._fields[place - len(self._values)]
+            else:
+                out[row] = (self._values[place, :, None] * self._white[group]).ravel()
+        return out
+
+    def of_noise(self, rng: np.random.Generator, draws: int) -> Array:
+        """(K, draws) Zᵀ V⁻¹ n for n of covariance V: noise, and what the base model may mean besides."""
+        meant = self.absorbing @ rng.standard_normal((len(self.lengths), draws))
+        return self.product(self.space.absorb(rng.standard_normal((len(meant), draws)) + meant))
+
+    def _along(self, x: Array) -> Iterable[tuple[Array, slice]]:
+        """Per group what readings x (R, d) come to along its column of the Jacobian, (F, d), and its rows."""
+        visits = x.reshape(len(x) // self.space.rows, self.space.rows, x.shape[1])
+        for white, span in zip(self._white, self._spans, strict=True):
+            yield np.einsum("fr,frd->fd", white, visits), span
+
+    def _double(self, x: Array) -> Array:
+        """Zᵀ x as `product`, in double precision, in the order of the rows."""
+        out = np.empty((len(self.scale), x.shape[1]))
+        for along, span in self._along(x):
+            for at in range(span.start, span.stop, BLOCK):
+                part = slice(at, min(at + BLOCK, span.stop))
+                out[part] = self._values[part].astype(float) @ along
+        for at in range(0, len(self._fields), BLOCK):
+            part = slice(at + len(self._values), at + len(self._values) + BLOCK)
+            out[part] = self._fields[at : at + BLOCK].astype(float) @ x
+        return out
+
+    def _squares(self) -> Array:
+        """ZᵀZ of every column, in the order of the rows."""
+        out = np.empty(len(self.scale))
+        for weights, span in zip(self._weights, self._spans, strict=True):
+            out[span] = self._values[span].astype(float) ** 2 @ weights
+        for row, field in enumerate(self._fields, start=len(self._values)):
+            exact = field.astype(float)
+            out[row] = exact @ exact
+        return out
+
+
+def _sorted(columns: Sequence[Column]) -> tuple[dict[tuple[int, int], list[int]], list[int]]:
+    """Indices of columns on each component of a frame, and of those that are on none."""
+    of_group: dict[tuple[int, int], list[int]] = {}
+    elsewhere = []
+    for k, column in enumerate(columns):
+        if column.on == "frame":
+            of_group.setdefault((column.frame, column.component), []).append(k)
+        else:
+            elsewhere.append(k)
+    return of_group, elsewhere
+
+
+def key_of(column: Column) -> Key:
+    """What tells a column from another: columns hold dictionaries, which do not hash."""
+    return column.on, column.function, tuple(sorted(column.args.items())), column.frame, column.component
