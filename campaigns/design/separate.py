@@ -289,7 +289,8 @@ class _Laid:
         root = np.linalg.inv(np.linalg.cholesky(self.belief.noise.covariance(lin.levers, seen, np.ones(last))))
         rows = np.repeat(seen, 3, axis=1)
         root = root * (rows[:, :, None] & rows[:, None, :])
-        x = lin.design.reshape(last, rows.shape[1], -1) * (caution_of(self.belief.model) * self.belief.strengths)
+        strengths = self.belief.strengths
+        x = lin.design.reshape(last, rows.shape[1], -1) * caution_of(self.belief.model, strengths) * strengths
         x, f = root @ x, root @ f
         return x.reshape(-1, x.shape[2]), f.reshape(-1, f.shape[2])
 

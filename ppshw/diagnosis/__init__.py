@@ -13,7 +13,7 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, scatter_of, still_gross
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
@@ -74,7 +74,8 @@ def diagnose(
     believed = everything.copy()
     if gross.visits:
         believed[list(gross.visits)] = False
-        space = prepare(machine, recording, believed, None, calming)
+    if gross.visits or gross.at_a_place:
+        space = prepare(machine, recording, believed, None, calming, gross.at_a_place)
     tell(2, 10)
     tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
@@ -88,8 +89,8 @@ def diagnose(
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
-        space = prepare(machine, recording, believed, base, calming)
-        before = [tried.candidates[f.best] for f in found]
+        space = prepare(machine, recording, believed, base, calming, gross.at_a_place)
+        before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
         del tried  # its columns are most of the memory: the next look lays its own
         tried, found = _look(space, without, seed, before, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
@@ -138,12 +139,14 @@ def _answer(
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)
-    unexplained = None if not left else _unexplained(space, tried, max(left, key=lambda f: f.evidence))
+    unexplained = left_at_a_place(space, gross)
+    if left:
+        unexplained = _unexplained(space, tried, max(left, key=lambda f: f.evidence))
     carried = carry(space, tried, found)
     answer = {
         "visits": len(space.recording),
         "noise_floor_mm": _noise_floor(space),
-        "verdict": "unexplained" if left else "missing_physics" if findings else "consistent",
+        "verdict": "unexplained" if unexplained is not None else "missing_physics" if findings else "consistent",
         "findings": findings,
         "unexplained": unexplained,
         "visibility": visibility(space, tried),

@@ -52,10 +52,8 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     slips += [_on(k, "winding", joint=joint, way=float(way)) for way in ways]
     if not c.recording.has_approach:
         return slips
-    return [
-        *slips, _on(k, "approach", joint=joint), _on(k, "approach_q", joint=joint),
-        _on(k, "approach_q", joint=joint, power=2),
-    ]  # fmt: skip
+    tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
+    return [*slips, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]
 
 
 def _thermal(c: Context, k: Candidate) -> list[Column]:
@@ -88,11 +86,14 @@ def _periodic(c: Context, k: Candidate) -> list[Column]:
 
 def _by_load(c: Context, k: Candidate) -> list[Column]:
     frame, component = k.columns[0].args["frame"], k.columns[0].args["component"]
+    about = k.columns[0].args.get("offset", 0.0)
     out = [_on(k, "load_power", frame=frame, component=component, exponent=e) for e in (0.67, 1.5, 2.0, 3.0)]
     out += [
-        _on(k, "load_side", frame=frame, component=component, width=w, offset=o)
+        _on(k, "load_side", frame=frame, component=component, width=w, offset=about + o)
         for w in (0.05, 0.2, 0.5) for o in (0.0, -0.4, 0.4)
     ]  # fmt: skip
+    # a link that bends shifts and turns what it carries
+    out += [Column("frame", first.function, first.args, first.frame, comp) for first in k.columns for comp in range(6)]
     out += [_on(k, "load_side_held", frame=frame, component=component, width=w) for w in (0.1, 0.25, 0.5)]
     return out
 
@@ -108,7 +109,7 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
     first = k.columns[0]
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
-        for tau in CREEP_H for form in ("exponential", "log", "first", "wrench", "total")
+        for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total")
     ]  # fmt: skip
 
 

@@ -9,13 +9,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import Column, Context, own_weight
 
+Array = NDArray[np.float64]
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
@@ -32,7 +35,10 @@ FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
 TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
-OWN = 0.8  # share of the joint's own freedom where an effect sits in the drive
+# Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
+FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
+FINELY_TWO = 9  # order of polynomials in two positions: five half waves of one where there are four of the other
+LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 
 
 @dataclass(frozen=True)
@@ -87,45 +93,30 @@ def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
             yield k, name
 
 
-def _shares(c: Context, k: int) -> list[tuple[int, float]]:
-    own = own_component(c, k)
-    return [(comp, OWN if comp == own else (1 - OWN) / 5) for comp in range(6)]
-
-
 def _backlash(c: Context) -> Iterator[Candidate]:
     if not c.recording.has_approach:
         return
     for k, name in moving_joints(c):
         if len(np.unique(c.recording.approach[:, k])) < 2:
             continue
-        for comp, share in _shares(c, k):
-            sign = Column("frame", "approach", {"joint": k}, k + 1, comp)
-            yield Candidate("backlash", name, name, COMPONENTS[comp], f"approach_{name}", (sign,), share=share)
-            drag = Column("frame", "approach_q", {"joint": k}, k + 1, comp)
-            worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, comp)
-            for columns in ((sign, drag), (sign, drag, worn)):
-                yield Candidate(
-                    "backlash", name, name, COMPONENTS[comp], f"approach_{name}", columns, share=0.1 * share
-                )
+        own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
+        sign = Column("frame", "approach", {"joint": k}, k + 1, own)
+        drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
+        worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
+        for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
+            yield Candidate("backlash", name, name, COMPONENTS[own], f"approach_{name}", columns, share=share)
 
 
 def _friction(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         span = float(np.ptp(c.recording.q[:, k]))
-        for width in span * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3]):
-            for comp, share in _shares(c, k):
-                if share < 0.5:
-                    continue
-                column = Column("frame", "slipping", {"joint": k, "width": float(width)}, k + 1, comp)
+        own = own_component(c, k)
+        for width in map(float, span * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3])):
+            for function, how in (("slipping", "width"), ("winding", "way")):
+                column = Column("frame", function, {"joint": k, how: width}, k + 1, own)
                 yield Candidate(
-                    "friction_hysteresis", name, name, COMPONENTS[comp], f"move_{name}", (column,),
-                    {"width": float(width)}, share,
-                )  # fmt: skip
-                column = Column("frame", "winding", {"joint": k, "way": float(width)}, k + 1, comp)
-                yield Candidate(
-                    "friction_hysteresis", name, name, COMPONENTS[comp], f"move_{name}", (column,),
-                    {"width": float(width)}, share,
-                )  # fmt: skip
+                    "friction_hysteresis", name, name, COMPONENTS[own], f"move_{name}", (column,), {"width": width}
+                )
 
 
 def _thermal(c: Context) -> Iterator[Candidate]:
@@ -143,6 +134,13 @@ def _thermal(c: Context) -> Iterator[Candidate]:
                     where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
                     yield Candidate(*where, (flat,), {"lag_h": tau}, 0.5)
                     yield Candidate(*where, (flat, grows), {"lag_h": tau}, 1.0 if comp == own else 0.2)
+    for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H[::2]):
+        for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
+            sides = tuple(
+                Column("frame", "temperature", {"place": each, "tau": tau}, k + 1, comp) for each in (place, other)
+            )
+            where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
+            yield Candidate(*where, sides, {"lag_h": tau}, 0.2)
 
 
 def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
@@ -254,21 +252,32 @@ def _clearance(c: Context) -> Iterator[Candidate]:
     for frame in range(1, c.machine.n + 1):
         name = c.machine.joint_names[frame - 1]
         for b in loads_on(c, frame):
-            w = c.wrenches[:, frame, b]
-            if min((w > 0).mean(), (w < 0).mean()) < 0.03:
-                continue
-            shapes: list[tuple[str, dict[str, float]]] = [
-                ("load_side", {"width": w, "offset": o}) for w in (0.02, 0.1, 0.3) for o in (0.0, -0.3, 0.3)
-            ]  # wider ones are nonlinear stiffness
-            shapes += [("load_side_held", {"width": w}) for w in (0.1, 0.25, 0.5)]
-            for function, shape in shapes:
+            for function, shape, share in _falls(c, frame, b):
                 args = {"frame": frame, "component": b, **shape}
                 for comp in range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
-                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape["width"]),
-                        1.0 if comp == b else 0.1,
+                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, args["width"]),
+                        share if comp == b else 0.1 * share,
                     )  # fmt: skip
+
+
+def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
+    """How a joint may fall to its other side by a component of its load, and the shares of these; wider ones are
+    nonlinear stiffness."""
+
+    def changes_side(w: Array) -> bool:
+        return bool(min((w > 0).mean(), (w < 0).mean()) > 0.03)
+
+    w = c.wrenches[:, frame, b]
+    for wide, offset in itertools.product((0.02, 0.1, 0.3), FALLS_AT):
+        if changes_side(w - offset * w.std()):
+            yield "load_side", {"width": wide, "offset": offset}, 1.0 if abs(offset) < 0.5 else PRELOADED
+    if changes_side(w):
+        yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
+    # its own weight may be balanced, so that the payload alone pushes it over
+    if c.recording.has_wrench and changes_side(w - own_weight(c, frame, b)):
+        yield from (("load_side", {"width": wide, "of": "payload"}, 0.5) for wide in (0.02, 0.1, 0.3))
 
 
 def _coupling(c: Context) -> Iterator[Candidate]:
@@ -277,7 +286,16 @@ def _coupling(c: Context) -> Iterator[Candidate]:
             if a == b:
                 continue
             for comp in range(6):
+                for half_waves in LUMPS:
+                    args = {"joint": a, "period": 2 * float(np.ptp(c.recording.q[:, a])) / half_waves, "by": b}
+                    pair = tuple(Column("frame", "wave_q", {**args, "phase": p}, a + 1, comp) for p in ("sin", "cos"))
+                    yield Candidate(
+                        "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", pair, {}, 0.5 / len(LUMPS),
+                        (f"q_{name}", f"q_{other}"),
+                    )  # fmt: skip
+                finely = tuple((i, j) for i in range(1, FINELY_TWO) for j in range(1, FINELY_TWO + 1 - i))
                 for powers, share in (
+                    (finely, 0.3),
                     (((1, 1),), 1.0), (((0, 1), (1, 1)), 0.5), (((0, 1), (0, 2)), 0.5),
                     (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
                     (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),
@@ -351,18 +369,24 @@ def temperature_places(c: Context) -> list[str]:
 def _creep(c: Context) -> Iterator[Candidate]:
     if len(set(c.recording.load)) < 2:
         return
-    forms: tuple[tuple[str, float], ...] = (("exponential", 1.0), ("log", 1.0), ("wrench", 0.5), ("total", 0.5))
+    forms: tuple[tuple[str, float], ...] = (
+        ("exponential", 1.0), ("log", 1.0), ("last", 0.5), ("wrench", 0.5), ("total", 0.5)
+    )  # fmt: skip
     if not c.recording.has_wrench:  # the machine's own weight is all that is known
         forms = forms[-1:]
     # alone, or beside one that creeps on where it has come to rest, as in load cells
     rates: list[tuple[float, ...]] = [(tau,) for tau in CREEP_H]
     rates += zip(CREEP_H, CREEP_H[SLOWER:], strict=False)
-    ways = [(form, half, taus) for taus in rates for form, half in forms if form != "log" or len(taus) == 1]
+    ways = [
+        (form, half, taus) for taus in rates for form, half in forms if form not in ("log", "last") or len(taus) == 1
+    ]  # fmt: skip
     for form, half, taus in ways:
         shape = dict(zip(("tau_h", "slow_tau_h"), taus, strict=False))
         whole = tuple(Column("frames", "creep", {"tau": tau, "form": form}) for tau in taus)
         yield Candidate("creep", None, None, None, "since_load_change", whole, shape, 2.0 * half)
         for frame, name, acting in _elastic_frames(c):
+            link = tuple(Column("frames", "creep", {"tau": tau, "form": form, "frame": frame}) for tau in taus)
+            yield Candidate("creep", name, name, None, "since_load_change", link, shape, half)
             for b in acting:
                 where = {"frame": frame, "component": b, "form": form}
                 columns = tuple(Column("frame", "creeping", {**where, "tau": tau}, frame, b) for tau in taus)
@@ -408,6 +432,15 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
                     args = {"frame": frame, "component": b, "joint": frame - 1}
                     grows = Column("frame", "load_q", args, frame, comp)
                     yield Candidate(*where, (grows,), {}, 0.3 * share)
+                    if joint.prismatic:
+                        faster = Column("frame", "load_q", {**args, "degree": 2}, frame, comp)
+                        yield Candidate(*where, (grows, faster), {}, 0.3 * share)
+                        continue
+                    for order in (1, 2):
+                        yield Candidate(*where, tuple(
+                            Column("frame", "load_turn", {**args, "order": order, "phase": phase}, frame, comp)
+                            for phase in ("sin", "cos")
+                        ), {}, 0.15 * share)  # fmt: skip
         acting = [b for b in loads_on(c, frame) if b not in known]
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)

@@ -15,6 +15,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library import (
+    FINELY_TWO,
     MOMENTS,
     Candidate,
     loads_on,
@@ -30,7 +31,8 @@ from ppshw.terms.shapes import Column, Context, named_column
 Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
-RHYTHMS = 36  # half waves in time that nobody names: down to half an hour in a campaign of ten
+# Half waves in time that nobody names: down to half an hour in a campaign of ten; in a joint's own place a third of it.
+RHYTHMS, QUICKER = 36, 64
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
 ABOUT_ZERO = 9  # bumps over what is finest about zero
@@ -151,13 +153,15 @@ def _at_a_moment(c: Context) -> Iterator[Candidate]:
 
 
 def _rhythms(c: Context) -> Iterator[Candidate]:
-    orders = range(1, RHYTHMS + 1)
     for frame, comp, names in _over_time(c):
-        waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in orders]
-        yield _nameless(c, frame, comp, names, waves)
+        for most in (RHYTHMS, QUICKER):
+            waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in range(1, most + 1)]
+            yield _nameless(c, frame, comp, names, waves)
     for k, name in moving_joints(c):
-        for frame, comp in _ends(c):
-            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in orders]
+        places = [(frame, comp, RHYTHMS) for frame, comp in _ends(c)]
+        places += [(k + 1, comp, QUICKER) for comp in range(6) if k + 1 < c.machine.n]
+        for frame, comp, most in places:
+            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, most + 1)]
             yield _nameless(c, frame, comp, (f"q_{name}", "time"), waves)
 
 
@@ -330,9 +334,20 @@ def _of_two_positions(c: Context) -> Iterator[Candidate]:
                 yield _smooth_pair(c, frame, comp, f"q_{one}", f"q_{other}")
     for (k, one), (m, other) in itertools.permutations(moving_joints(c), 2):
         for comp in range(6):
-            yield _nameless(c, k + 1, comp, (f"q_{one}", f"q_{other}"), [
+            names = (f"q_{one}", f"q_{other}")
+            yield _nameless(c, k + 1, comp, names, [
                 Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": 1}, k + 1, comp) for i in range(7)
             ])  # fmt: skip
+            yield _nameless(c, k + 1, comp, names, [
+                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": j}, k + 1, comp)
+                for i in range(1, FINELY_TWO) for j in range(1, FINELY_TWO + 1 - i)
+            ])  # fmt: skip
+            period = 2 * float(np.ptp(c.recording.q[:, k]))
+            for least in OCTAVES[:2]:
+                yield _nameless(c, k + 1, comp, names, [
+                    Column("frame", "wave_q", {"joint": k, "period": period / j, "phase": phase, "by": m}, k + 1, comp)
+                    for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
+                ])  # fmt: skip
 
 
 def _of_three_positions(c: Context) -> Iterator[Candidate]:
@@ -344,7 +359,8 @@ def _of_three_positions(c: Context) -> Iterator[Candidate]:
 
 
 def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders; the space around the instrument is stretched, for good or with a temperature."""
+    """A single reflector wanders; what carries them all swells with a column; the space around the instrument is
+    stretched, for good or with a temperature."""
     if c.points.shape[1] > 1:
         for t, name in enumerate(c.recording.target_names):
             moves = tuple(
@@ -352,6 +368,13 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for j, a in itertools.product(range(5), range(3))
             )
             yield Candidate("nameless", None, None, None, name, moves)
+        targets, axes = range(c.points.shape[1]), range(3)
+        for name in [*_nobody_knows(c), *(f"temp_{place}_C" for place in temperature_places(c)), *_late(c)]:
+            swells = [
+                Column("points", "target_shift", {"target": t, "axis": a, "name": name})
+                for t, a in itertools.product(targets, axes)
+            ]  # fmt: skip
+            yield _nameless(c, None, None, (name,), swells)
     for angle in ("azimuth", "elevation"):
         off = tuple(
             Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})

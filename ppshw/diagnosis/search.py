@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, Name, Tried, corrected_residual, p_value
 from ppshw.diagnosis.forms import near_forms
+from ppshw.diagnosis.kinship import of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -57,6 +58,7 @@ LOADS = frozenset({
 })  # fmt: skip
 # Other names to begin with: so many effects, each at least so loud as the best; another start wins by so much.
 STARTS, LOUD, ANOTHER_START = 3, 0.25, 3.0
+FEWER = 2  # findings less: then nothing counts against those without a name
 FREE = 6  # columns of a form that may stand for two effects: a base that wanders in all directions
 ROUNDS = 3  # of putting names to the question again
 
@@ -66,7 +68,7 @@ class Found:
     """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
     size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
     what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
-    carried: whether a calibration is to have it."""
+    carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up."""
 
     best: int
     name: Name
@@ -79,6 +81,7 @@ class Found:
     first: float = 0.0
     at: int = 0
     carried: bool = True
+    was: int | None = None
 
 
 def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: Progress | None = None) -> list[Found]:
@@ -97,7 +100,10 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
         for start in starts:
             if _name(tried, start[0]) in [f.name for f in found]:
                 continue
-            total = _explained(space, tried, _greedy(space, tried, start, None))
+            instead = _greedy(space, tried, start, None)
+            total = _explained(space, tried, instead)
+            if len(instead) <= len(found) - FEWER:
+                total += _against_riddles(instead)
             if total > best + ANOTHER_START:
                 best, chosen = total, start
         if chosen is None:
@@ -121,13 +127,12 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             if f.name[0] == "nameless":
                 continue
             others = [g for g in found if g is not f]
-            own, every, evidence, names = _by_itself(space, tried, f, others)
-            rival = float(names[freely])
+            own, every, evidence, _ = _by_itself(space, tried, f, others)
+            rival, best = _other_than(tried, f, evidence, freely)
             behind = rival / HANDICAP > max(own - AHEAD, every - ALL_AHEAD)
             if cause in given_up or behind or _beside_a_riddle(tried, f, others):
                 given_up.add(cause)
-                best = _strongest(tried, evidence, freely)
-                f.best, f.name, f.evidence, f.first = best, tried.names[freely], rival, rival
+                f.was, f.best, f.name, f.evidence, f.first = f.best, best, tried.names[freely], rival, rival
                 f.size, f.more = 0.0, ()
             take_up(space, tried, found)
         if not given_up:
@@ -138,6 +143,18 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
         if others and (own if f.name[0] == "nameless" else max(own, every)) < LEAST_FURTHER:
             found.remove(f)
     take_up(space, tried, found)
+
+
+def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[float, int]:
+    """What rivals without a name say that are not by what they mean the finding's own effect, for the evidence (C,) of
+    all candidates; and the strongest of them."""
+    mine = tried.candidates[f.best]
+    others = np.array([
+        j for j in np.flatnonzero(tried.name_of == freely) if not of_its_kind(mine, tried.candidates[j])
+    ])  # fmt: skip
+    weighed = evidence[others] + tried.log_share[others]
+    said = float(logsumexp(weighed))
+    return HANDICAP * said if said > 0 else said, int(others[np.argmax(weighed)])
 
 
 def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, float, Array, Array]:
@@ -178,8 +195,12 @@ def _explained(space: Workspace, tried: Tried, found: list[Found]) -> float:
     """Log evidence of all findings together, as taken up, less what each has to bring and what counts against those
     without a name."""
     cost = sum(LEAST_FURTHER - float(tried.log_share[f.best]) for f in found)
-    cost += sum((1 / HANDICAP - 1) * f.first for f in found if f.name[0] == "nameless")
-    return space.log_evidence() - cost
+    return space.log_evidence() - cost - _against_riddles(found)
+
+
+def _against_riddles(found: list[Found]) -> float:
+    """What counts against findings without a name: their functions bend as they need."""
+    return sum((1 / HANDICAP - 1) * f.first for f in found if f.name[0] == "nameless")
 
 
 def _greedy(
@@ -239,12 +260,13 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
 def _left_there(tried: Tried, other: Candidate) -> float:
     """Log evidence of the best function of the load that a finding bears, at its own place: what its form leaves of it
     is one. Infinite for what acts at no single place."""
-    if other.component is None:
+    if other.joint is None:
         return math.inf
     evidence, _ = _names(tried)
     there = [
         j for j, k in enumerate(tried.candidates)
-        if k.effect == "nameless" and _same_place(k, other) and k.covariates[0].startswith("on_")
+        if k.effect == "nameless" and k.frame == other.frame and other.component in (None, k.component)
+        and k.covariates[0].startswith("on_")
     ]  # fmt: skip
     return max((float(evidence[j]) for j in there), default=math.inf)
 

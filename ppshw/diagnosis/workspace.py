@@ -9,6 +9,7 @@ so that no candidate is credited with what the base model can explain. docs/diag
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,11 +18,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.start import to_base
-from ppshw.identification.structure import joint_model
+from ppshw.identification.structure import MOST_WAVES, joint_model
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
+from ppshw.terms.basis import BAND_EDGES
 from ppshw.terms.shapes import Context
 
 Array = NDArray[np.float64]
@@ -35,6 +37,9 @@ CAUTION = 2.0
 # prior's zero mean has made too small, always to the same side (in 23 clean recordings of an arm, which bends under its
 # own weight most, a sensor's gain stood 2.0 standard deviations off on average with 2, 0.7 with 5, 0.1 with 20).
 CAUTION_ELASTIC = 20.0
+# Machined guides and bearings err slowly along their travel. A joint whose finest waves (four to seven of them over the
+# travel) are so many times the median joint's has something there that is no geometry: it is not to be absorbed.
+STANDS_OUT, FINEST = 3.0, f".band{np.searchsorted(BAND_EDGES, MOST_WAVES)}"
 
 
 @dataclass
@@ -154,10 +159,17 @@ class Workspace:
         return np.where(np.repeat(self.recording.seen, 3, axis=1), left, np.nan)
 
 
-def caution_of(model: Model) -> Array:
-    """(p,) how many times its learnt strength every parameter may take while names are sought."""
-    elastic = np.array([p.group.startswith("compliance.") for p in model.parameters()])
-    return np.where(elastic, CAUTION_ELASTIC, CAUTION)
+def caution_of(model: Model, strengths: Array) -> Array:
+    """(p,) how many times its learnt strength (p,) every parameter may take while names are sought."""
+    groups = [p.group for p in model.parameters()]
+    elastic = np.array([group.startswith("compliance.") for group in groups])
+    out = np.where(elastic, CAUTION_ELASTIC, CAUTION)
+    for finest in (f".t{FINEST}", f".r{FINEST}"):
+        mine = np.array([group.startswith("geometric.") and group.endswith(finest) for group in groups])
+        if mine.any():
+            most = STANDS_OUT * np.median(strengths[mine])
+            out[mine] *= np.minimum(1.0, most / np.maximum(strengths[mine], 1e-30))
+    return out
 
 
 def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
@@ -168,9 +180,13 @@ def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
 
 
 def prepare(
-    machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None
-) -> Workspace:
-    """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before."""
+    machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None,
+    sure: Sequence[int] = (),
+) -> Workspace:  # fmt: skip
+    """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before.
+
+    sure  visits that are believed in full however far off they are
+    """
     base = base or estimate(joint_model(machine, recording), recording.subset(fit))
     model, situation = base.model, Situation.of(recording)
     count = len(recording)
@@ -183,11 +199,12 @@ def prepare(
     design = lin.design.reshape(count, rows.shape[1], -1)[:, :, active] * rows[..., None]
     gap = np.where(seen[..., None], to_base(recording.points, base.measuring_in_base) - lin.positions, 0.0)
     data = gap.reshape(count, -1) + design @ base.theta[active]
-    caution = caution_of(model)[active]
+    caution = caution_of(model, strengths)[active]
     root = np.linalg.inv(np.linalg.cholesky(base.noise.covariance(lin.levers, seen, np.ones(count))))
     root = root * (rows[:, :, None] & rows[:, None, :])
     weights = np.ones(count)
     weights[fit] = np.maximum(base.weights, 1e-3)
+    weights[list(sure)] = 1.0
     calming = np.tile(np.eye(rows.shape[1]), (count, 1, 1)) if calming is None else calming
     root = calming @ root * np.sqrt(weights)[:, None, None]
     context = Context.of(model, base.theta, recording, base.measuring_in_base)

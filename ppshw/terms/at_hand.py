@@ -29,8 +29,8 @@ from ppshw.terms.shapes import Column, Context, bump, compliances
 Array = NDArray[np.float64]
 # Functions of the clock alone, and those that need nothing of what went before; all others look back.
 CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
-AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "load",
-                     "load_q", "load_power", "load_side", "load_bump", "load_legendre", "load_warm",
+AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
+                     "load_q", "load_turn", "load_power", "load_side", "load_bump", "load_legendre", "load_warm",
                      "own_weight", "hanging", "pair", "product", "body_weight", "sensor_error", "sensor_off",
                      "pulled", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
                      "instead"})  # fmt: skip

@@ -144,7 +144,8 @@ def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float,
         r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
 
     Changes are put halfway between two visits. What hung there before the first visit is taken to have hung there for
-    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0).
+    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0). "last" is what
+    the last change alone does, as the logarithm of its age.
 
     payload (N, k) in any measure that adds up;  returns (N, k)
     """
@@ -157,6 +158,9 @@ def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float,
         age = hours[k:] - 0.5 * (hours[k] + hours[k - 1])
         if form == "exponential":
             remaining = np.exp(-age / tau)
+        elif form == "last":
+            out[k:] = 0.0
+            remaining = -np.log1p(age / tau) / np.log1p(FORGOTTEN_H / tau)
         else:
             remaining = np.maximum(1.0 - np.log1p(age / tau) / np.log1p(FORGOTTEN_H / tau), 0.0)
         out[k:] += (payload[k] - payload[k - 1]) * remaining[:, None]

@@ -258,12 +258,24 @@ def wave(c: Context, joint: int, period: float, phase: str) -> Array:
     return np.asarray(np.sin(angle) if phase == "sin" else np.cos(angle))
 
 
+def wave_q(c: Context, joint: int, period: float, phase: str, by: int) -> Array:
+    """A wave along one joint's travel times another's position."""
+    return wave(c, joint, period, phase) * c.u(by)
+
+
 def load(c: Context, frame: int, component: int) -> Array:
     return np.asarray(c.wrenches[:, frame, component])
 
 
 def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) -> Array:
     return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
+
+
+def load_turn(c: Context, frame: int, component: int, joint: int, order: int, phase: str) -> Array:
+    """A component of the wrench on a frame times sine or cosine of `order` times a joint's angle: what gives way more
+    in some directions than in others."""
+    angle = order * c.recording.q[:, joint]
+    return np.asarray(c.wrenches[:, frame, component] * (np.sin(angle) if phase == "sin" else np.cos(angle)))
 
 
 def _spread(c: Context, frame: int, component: int) -> float:
@@ -280,9 +292,14 @@ def load_power(c: Context, frame: int, component: int, exponent: float) -> Array
     return np.asarray(np.sign(w) * np.abs(w) ** exponent / _most(c, frame, component) ** (exponent - 1))
 
 
-def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0) -> Array:
-    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread."""
+def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "") -> Array:
+    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread.
+
+    of  "payload": by what the payload does to it alone, as if its own weight were balanced
+    """
     w = c.wrenches[:, frame, component]
+    if of == "payload":
+        w = w - own_weight(c, frame, component)
     return np.asarray(np.tanh((w / _spread(c, frame, component) - offset) / width))
 
 
@@ -438,9 +455,12 @@ def named_column(c: Context, name: str) -> Array:
 
 
 # --- on all frames: (N, n+1, 6) ---------------------------------------------------------------------------------
-def creep(c: Context, tau: float, form: str) -> Array:
-    """What is still missing of every link's deflection after load changes."""
-    return -_deflection(c, _late(c, tau, form))
+def creep(c: Context, tau: float, form: str, frame: int = -1) -> Array:
+    """What is still missing of every link's deflection after load changes, or of one frame's."""
+    missing = -_deflection(c, _late(c, tau, form))
+    if frame >= 0:
+        missing[:, np.arange(missing.shape[1]) != frame] = 0.0
+    return missing
 
 
 def _late(c: Context, tau: float, form: str) -> Array:
@@ -672,14 +692,16 @@ def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
 
 
 def target_shift(
-    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0
+    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = ""
 ) -> Array:
     """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
-    once or with a time constant `slow` [h]; or in the `order`-th half wave over the recording."""
+    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; or with a column."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
     if order:
         out = out * clock(c, "cosine", order)[:, None, None]
+    if name:
+        out = out * covariate(c, name)[:, None, None]
     if since >= 0:
         out = out * step(c, since)[:, None, None]
     if slow:
@@ -691,9 +713,9 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, turning, slipping, winding, temperature, temperature_q, link_growth, clock,
-        clock_q, step, settling, wave, load, load_q, load_power, load_side, load_side_held, load_bump, load_slip,
-        load_warm, load_legendre, creeping, own_weight, hanging, pair, product, covariate, covariate_pair, creep,
-        body_weight, sensor_error, sensor_off, pulled, scale, strain, angle_error, target_shift, unexplained, instead,
-        model_shift,
+        clock_q, step, settling, wave, wave_q, load, load_q, load_turn, load_power, load_side, load_side_held,
+        load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging, pair, product, covariate,
+        covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain, angle_error, target_shift,
+        unexplained, instead, model_shift,
     )
 }  # fmt: skip

@@ -1,0 +1,34 @@
+"""Which rivals without a name are, by the contract's own words, the very effect they would outdo.
+
+"One joint's geometric error depends on another joint's position" holds for any function of the two. A name is not given
+up because a function without one is more of the same: only because something else says as much.
+"""
+
+from __future__ import annotations
+
+from ppshw.diagnosis.library import Candidate
+
+READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
+
+
+def of_its_kind(named: Candidate, rival: Candidate) -> bool:
+    """Whether a rival without a name would bear the name's, by what the name means (contract, §4)."""
+    here = (named.frame, named.component) == (rival.frame, rival.component)
+    over = set(rival.covariates) or {rival.covariate}
+    match named.effect:
+        case "cross_coupling":
+            return over == set(named.covariates)
+        case "drift":
+            return over == {"time"} and rival.frame == "base"
+        case "zero_shift":
+            return here and all(column.function == "step" for column in rival.columns)
+        case "thermal_growth":
+            plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
+            return rival.frame == named.frame and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+        case "target_moved":
+            return over == {named.covariate}
+        case "creep":
+            return any(name.startswith("late_") and "_on_" in name for name in over) and rival.frame == named.frame
+        case "wrench_error":
+            return all(column.function in READ for column in rival.columns)
+    return False
