@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.checks import before_and_after
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, scatter_of, still_gross
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, scatter_of, still_gross
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
@@ -120,3 +120,42 @@ def test_noise_that_grows_in_all_directions_is_calmed_in_all(clean: Workspace) -
     sizes = found.calming[:, 0, 0]
     assert np.allclose(found.calming, sizes[:, None, None] * np.eye(clean.rows))
     assert np.corrcoef(np.log(sizes), _load(clean))[0, 1] < -0.9
+
+
+def _dented(clean: Workspace, visits: np.ndarray) -> Workspace:
+    points = clean.recording.points.copy()
+    points[visits, :, 0] += 3e-3
+    recording = replace(clean.recording, points=points)
+    return prepare(clean.machine, recording, np.ones(len(recording), dtype=bool))
+
+
+def test_wrong_visits_that_gather_at_one_place_of_a_joint_s_travel_are_structure_there(clean: Workspace) -> None:
+    """Every other of the ten visits that are nearest to one place of yaw, and as many anywhere."""
+    yaw = clean.machine.joint_names.index("yaw")
+    q = clean.recording.q[:, yaw]
+    place = float(np.quantile(q, 0.85))
+    there = np.sort(np.argsort(np.abs(q - place))[1:11:2])
+    space = _dented(clean, there)
+    gross = gross_errors(space)
+    assert (gross.visits, gross.at_a_place, gross.place) == ((), tuple(there), yaw)
+    assert gross.p_place < 1e-3
+    sure = prepare(space.machine, space.recording, space.fit, space.base, None, gross.at_a_place)
+    left = left_at_a_place(sure, gross)
+    assert left is not None
+    assert left["covariates"] == ["q_yaw"]
+    assert left["region"]["q_yaw"] == pytest.approx([q[there].min(), q[there].max()])
+    assert left["p_value"] == gross.p_place
+    assert left_at_a_place(clean, gross) is None  # what was odd is gone from the data
+    anywhere = np.sort(np.random.default_rng(5).choice(len(q), 5, replace=False))
+    gross = gross_errors(_dented(clean, anywhere))
+    assert (gross.visits, gross.at_a_place) == (tuple(anywhere), ())
+    assert left_at_a_place(clean, gross) is None
+
+
+def test_a_visit_that_is_sure_is_believed_however_far_off_it_is(bad: Workspace) -> None:
+    fit = np.ones(len(bad.recording), dtype=bool)
+    believed = prepare(bad.machine, bad.recording, fit, bad.base, None, (BAD,))
+    ratio = np.linalg.norm(believed.root, axis=(1, 2)) / np.linalg.norm(bad.root, axis=(1, 2))
+    assert ratio[BAD] == pytest.approx(1 / np.sqrt(bad.base.weights[BAD]))
+    assert ratio[BAD] > 1.5
+    assert np.allclose(np.delete(ratio, BAD), 1.0)

@@ -61,6 +61,8 @@ def test_a_load_change_fades_and_the_next_one_adds_to_it() -> None:
     slowly = load_memory(payload, load, hours, 1.0, "log")[:, 0]
     left = [1 - np.log(1 + age) / np.log(9) for age in (0.5, 1.5, 2.5)]  # nothing after eight hours
     assert np.allclose(slowly, [0.0, 20 * left[0], 20 * left[1], 20 * left[2] - 30 * left[0]])
+    last = load_memory(payload, load, hours, 1.0, "last")[:, 0]  # forgets the change before
+    assert np.allclose(last * np.log(9), [0.0, -20 * np.log(1.5), -20 * np.log(2.5), 30 * np.log(1.5)])
     assert np.allclose(load_memory(payload, load, hours, 2.0, "first")[:, 0], 10 * np.exp(-hours / 2))
 
 

@@ -286,3 +286,20 @@ def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Works
         return {column.args["width"] for column in near if column.function == "load_side"}
 
     assert max(widths(frozenset())) > WIDEST_SIDE >= max(widths(frozenset({"nonlinear_stiffness"})))
+
+
+def test_what_pulls_sideways_with_the_approach_is_no_lost_motion(space: Workspace) -> None:
+    """A cable: the joint itself is where its encoder says."""
+    k = space.machine.joint_names.index("vertical")
+    drag = Column("frame", "approach", {"joint": k}, k + 1, 0)
+    found, tried = _search(_with(space, drag, 3.0), ["backlash", "friction_hysteresis"])
+    assert {f.name for f in found} == {("nameless", None)}
+    assert _best(tried, found[0]).covariates[0] == "approach_vertical"
+
+
+def test_a_coupling_by_waves_keeps_its_name_beside_any_function_of_the_two(space: Workspace) -> None:
+    a, b = (space.machine.joint_names.index(name) for name in ("longitudinal", "yaw"))
+    period = float(np.ptp(space.recording.q[:, a])) / 1.3
+    args = {"joint": a, "period": period, "phase": "sin", "by": b}
+    found, _ = _search(_with(space, Column("frame", "wave_q", args, a + 1, 1), 3.0), ["cross_coupling"])
+    assert [f.name[0] for f in found] == ["cross_coupling"]

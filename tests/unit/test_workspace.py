@@ -13,7 +13,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library, own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of, sentence
-from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.diagnosis.workspace import CAUTION, STANDS_OUT, Workspace, caution_of, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects
@@ -372,3 +372,44 @@ def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_
         mine = tried.name_of == j
         by_hand = logsumexp(evidence[0, mine] + tried.log_share[mine])
         assert said[j] == pytest.approx(by_hand * (0.7 if name[0] == "nameless" and by_hand > 0 else 1.0))
+
+
+def test_the_finest_waves_of_one_joint_are_not_absorbed_when_no_other_joint_has_such(space: Workspace) -> None:
+    model = space.base.model
+    strengths = np.array([space.base.groups[p.group] * p.scale for p in model.parameters()])
+    finest = np.array([p.group.endswith(".r.band3") for p in model.parameters()])
+    one = np.array([p.group == f"geometric.{space.machine.joint_names[2]}.r.band3" for p in model.parameters()])
+    assert one.any()
+    strengths[finest] = 1e-5
+    strengths[one] = 1e-3
+    caution = caution_of(model, strengths)
+    assert np.allclose(caution[finest & ~one], CAUTION)
+    assert np.allclose((caution * strengths)[one], CAUTION * STANDS_OUT * 1e-5)
+    strengths[finest] = 1e-3  # a machine that is like that everywhere
+    assert np.allclose(caution_of(model, strengths)[finest], CAUTION)
+
+
+def test_one_link_s_creep_is_its_part_of_all_links(space: Workspace) -> None:
+    c, args = space.context, {"tau": 0.4, "form": "wrench"}
+    every = Column("frames", "creep", args).value(c)
+    links = [Column("frames", "creep", {**args, "frame": k}).value(c) for k in range(space.machine.n + 1)]
+    assert np.allclose(sum(links), every)
+    assert np.flatnonzero(np.abs(links[2]).max(axis=(0, 2))).tolist() == [2]
+
+
+def test_a_side_by_the_payload_changes_where_the_payload_s_moment_does(space: Workspace) -> None:
+    c, frame, b = space.context, 2, 4
+    empty = link_wrenches(space.machine, c.chain, np.zeros((len(space.recording), 6)))
+    moment = (c.wrenches - empty)[:, frame, b]
+    side = Column("frame", "load_side", {"frame": frame, "component": b, "width": 1e-6, "of": "payload"}, frame, b)
+    seen = np.abs(moment) > 1e-3
+    assert np.allclose(side.value(c)[seen], np.sign(moment[seen]))
+
+
+def test_stiffness_round_a_turn_and_waves_beside_another_position_are_products(space: Workspace) -> None:
+    c, q = space.context, space.recording.q
+    turn = Column("frame", "load_turn", {"frame": 3, "component": 4, "joint": 2, "order": 2, "phase": "cos"}, 3, 4)
+    assert np.allclose(turn.value(c), c.wrenches[:, 3, 4] * np.cos(2 * q[:, 2]))
+    wave = Column("frame", "wave_q", {"joint": 2, "period": 0.5, "phase": "sin", "by": 4}, 3, 4)
+    scaled = 2 * (q[:, 4] - q[:, 4].min()) / np.ptp(q[:, 4]) - 1
+    assert np.allclose(wave.value(c), np.sin(4 * np.pi * q[:, 2]) * scaled)

@@ -1,0 +1,54 @@
+"""A rival without a name that is the named effect by definition does not cost it its name; another one may."""
+
+from __future__ import annotations
+
+import pytest
+
+from ppshw.diagnosis.kinship import of_its_kind
+from ppshw.diagnosis.library import Candidate
+from ppshw.terms.shapes import Column
+
+
+def _named(effect: str, joint: str | None, frame: str | None, component: str | None, covariate: str) -> Candidate:
+    over = (f"q_{joint}", covariate) if effect == "cross_coupling" else ()
+    return Candidate(effect, joint, frame, component, covariate, (), covariates=over)
+
+
+def _rival(frame: str | None, component: str | None, *over: str, function: str = "covariate") -> Candidate:
+    columns = (Column("frame", function, {}, 1, 0),)
+    return Candidate("nameless", None, frame, component, " × ".join(over), columns, covariates=over)
+
+
+@pytest.mark.parametrize(
+    ("named", "kin", "stranger"),
+    [
+        (_named("cross_coupling", "yaw", "yaw", "ty", "q_roll"), _rival("roll", "tx", "q_roll", "q_yaw"),
+         _rival("yaw", "ty", "q_yaw", "temp_air_C")),
+        (_named("drift", None, "base", None, "time"), _rival("base", "tz", "time"), _rival("base", "tz", "temp_air_C")),
+        (_named("drift", None, "base", None, "time"), _rival("base", "tz", "time"), _rival("pitch", "tz", "time")),
+        (_named("zero_shift", "yaw", "yaw", "ry", "time"), _rival("yaw", "ry", "q_yaw", "time", function="step"),
+         _rival("yaw", "ry", "q_yaw", "time", function="clock")),
+        (_named("thermal_growth", "yaw", "yaw", "ry", "temp_air_C"), _rival("yaw", "rx", "late_1_temp_air_C"),
+         _rival("yaw", "ry", "cov_humidity")),
+        (_named("thermal_growth", "yaw", "yaw", "ry", "temp_air_C"), _rival("yaw", "ry", "q_yaw", "temp_air_C"),
+         _rival("roll", "ry", "q_yaw", "temp_air_C")),
+        (_named("target_moved", None, None, None, "P2"), _rival(None, None, "P2"), _rival(None, None, "cov_humidity")),
+        (_named("creep", "yaw", "yaw", "rx", "since_load_change"), _rival("yaw", "rx", "on_yaw_Mx", "late_1_on_yaw_Mx"),
+         _rival("yaw", "rx", "on_yaw_Mx")),
+        (_named("wrench_error", None, None, None, "Fy"), _rival(None, None, "Fy", function="sensor_error"),
+         _rival(None, None, "Fy", "q_yaw", function="sensor_off")),
+    ],
+)  # fmt: skip
+def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
+    named: Candidate, kin: Candidate, stranger: Candidate
+) -> None:
+    assert of_its_kind(named, kin)
+    assert not of_its_kind(named, stranger)
+
+
+@pytest.mark.parametrize("effect", ["clearance", "nonlinear_stiffness", "backlash", "friction_hysteresis"])
+def test_neighbours_that_are_each_other_s_rivals_have_no_kin(effect: str) -> None:
+    """Any function of a load is as much a clearance as a stiffness: which it is its form must say."""
+    named = _named(effect, "yaw", "yaw", "rx", "Mx")
+    assert not of_its_kind(named, _rival("yaw", "rx", "on_yaw_Mx", function="load_bump"))
+    assert not of_its_kind(named, _rival("yaw", "rx", "approach_yaw", function="approach"))

@@ -1,0 +1,67 @@
+"""Columns kept as functions of the visits say the same as the readings that they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.laid import Laid, key_of
+from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.terms.shapes import Column
+from tests.unit.clean_case import clean_case
+
+COLUMNS = (
+    Column("frame", "wave", {"joint": 0, "period": 0.3, "phase": "sin"}, 1, 0),
+    Column("frame", "wave", {"joint": 0, "period": 0.3, "phase": "cos"}, 1, 0),
+    Column("points", "scale", {}),
+    Column("frame", "approach", {"joint": 3}, 4, 5),
+    Column("frames", "sensor_error", {"component": 1}),
+    Column("frame", "clock", {"form": "linear"}, 0, 4),
+)
+
+
+@pytest.fixture(scope="module")
+def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """With some lost targets and some visits that are not for the fit."""
+    machine, recording = clean_case(60533, "pps", 240, 180, tmp_path_factory.mktemp("clean"))
+    recording.points[3:60:7, 1] = np.nan
+    return prepare(machine, recording, np.arange(len(recording)) % 11 != 0)
+
+
+@pytest.fixture(scope="module")
+def whole(space: Workspace) -> np.ndarray:
+    """(F·3T, K) the columns whitened, at unit rms at the reflectors."""
+    raw = np.stack([column.evaluate(space.context) for column in COLUMNS], axis=2)
+    return space.whiten(raw / np.sqrt((raw**2).sum(axis=(0, 1)) / space.recording.seen.sum()))
+
+
+def test_products_with_readings_are_those_of_the_readings_that_a_column_moves(
+    space: Workspace, whole: np.ndarray
+) -> None:
+    x = np.random.default_rng(1).standard_normal((len(whole), 3))
+    laid = Laid(space, COLUMNS)
+    assert np.allclose(laid.rows(np.arange(len(COLUMNS))), whole.T, rtol=1e-5, atol=1e-4 * np.abs(whole).max())
+    assert np.allclose(laid.product(x), whole.T @ x, rtol=1e-4, atol=1e-4 * np.linalg.norm(whole[:, 0]))
+
+
+def test_information_is_what_the_base_model_leaves_of_columns_together(space: Workspace, whole: np.ndarray) -> None:
+    """Of two on one component of a frame, of two at different places, of what is on no frame."""
+    laid, left = Laid(space, COLUMNS), whole.T @ space.absorb(whole)
+    assert np.allclose(laid.seen(), np.diag(left), rtol=1e-4)
+    assert np.allclose(laid.plain, (whole**2).sum(axis=0), rtol=1e-5)
+    pairs = np.array([[0, 1], [0, 3], [2, 4], [5, 2]])
+    scale = np.sqrt(np.diag(left))
+    for pair, found in zip(pairs, laid.information(pairs), strict=True):
+        assert np.allclose(found, left[np.ix_(pair, pair)], atol=1e-4 * scale[pair].max() ** 2)
+
+
+def test_scores_of_noise_scatter_by_the_information(space: Workspace, whole: np.ndarray) -> None:
+    scores = Laid(space, COLUMNS).of_noise(np.random.default_rng(2), 4000)
+    information = whole.T @ space.absorb(whole)
+    scale = np.sqrt(np.diag(information))
+    assert np.allclose(np.cov(scores) / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.08)
+
+
+def test_columns_are_told_apart_by_all_they_are_made_of() -> None:
+    assert len({key_of(column) for column in COLUMNS}) == len(COLUMNS)
+    assert key_of(COLUMNS[0]) == key_of(Column("frame", "wave", dict(reversed(COLUMNS[0].args.items())), 1, 0))
