@@ -127,7 +127,7 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             if f.name[0] == "nameless":
                 continue
             others = [g for g in found if g is not f]
-            own, every, evidence, _ = _by_itself(space, tried, f, others)
+            own, every, evidence = _by_itself(space, tried, f, others)
             rival, best = _other_than(tried, f, evidence, freely)
             behind = rival / HANDICAP > max(own - AHEAD, every - ALL_AHEAD)
             if cause in given_up or behind or _beside_a_riddle(tried, f, others):
@@ -157,14 +157,14 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[f
     return HANDICAP * said if said > 0 else said, int(others[np.argmax(weighed)])
 
 
-def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, float, Array, Array]:
+def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, float, Array]:
     """What a finding says beside the others, by its bare form; with all near forms, less what it took over from other
-    names; the log evidence of all candidates beside the others, and of all names. The others are then taken up."""
+    names; the log evidence of all candidates beside the others. The others are then taken up."""
     take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f], and_look=False)
     whole = space.log_evidence()
     take_up(space, tried, others)
     evidence, names = _names(tried)
-    return float(names[tried.names.index(f.name)]), whole - space.log_evidence(), evidence, names
+    return float(names[tried.names.index(f.name)]), whole - space.log_evidence(), evidence
 
 
 def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:

@@ -150,7 +150,7 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     tried = Tried(space, some, 5e-5)
     evidence = np.where([k.effect == "nameless" for k in some], 100.0, own)
     evidence -= math.log(sum(math.exp(share) for share in tried.log_share[evidence == 100.0]))
-    monkeypatch.setattr(module, "_by_itself", lambda *_: (own, with_all, evidence, np.zeros(len(tried.names))))
+    monkeypatch.setattr(module, "_by_itself", lambda *_: (own, with_all, evidence))
     found = [Found(0, ("creep", NAME), 0.0, 160.0, first=160.0)]
     _give_up(space, tried, found)
     space.forget()
