@@ -12,16 +12,13 @@ Flachaire 2008), so that pose-dependent noise and the number of things tried are
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
-from ppshw.diagnosis.laid import Key, Laid, key_of
+from ppshw.diagnosis.laid import Key, Laid, key_of, side_by_side
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
@@ -36,7 +33,6 @@ LEAST_SHARE = 3e-4
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
 CHUNK = 512  # candidates at a time
-MOST_THREADS = 4  # each holds a chunk of its own
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
 
@@ -150,12 +146,21 @@ class Tried:
             batch, info, part = parts[k]
             out[batch.which[part]] = self._evidence(info[part], of_columns[batch.columns[part]])
 
-        _side_by_side(of_part, range(len(parts)))
+        side_by_side(of_part, range(len(parts)))
         return out.T
 
     def _evidence(self, info: Array, scores: Array) -> Array:
         """(C, D) for information (C, k, k) and scores (C, k, D): along the axes of the information each amplitude is a
         sum of squares."""
+        if info.shape[1] > 1 and scores.shape[2] == 1:
+            each = self._of_one(info, scores[:, :, 0])[..., None]
+        else:
+            each = self._of_many(info, scores)
+        most = each.max(axis=1)
+        return np.asarray(most + np.log(np.exp(each - most[:, None]).mean(axis=1)))
+
+    def _of_many(self, info: Array, scores: Array) -> Array:
+        """(C, 3, D) of each amplitude."""
         k = info.shape[1]
         if k == 1:
             lengths, along = info[:, 0], scores**2
@@ -164,9 +169,24 @@ class Tried:
             along = (np.swapaxes(turn, 1, 2) @ scores) ** 2
         prior = (np.array(AMPLITUDES) * self.repeatability) ** 2 / k
         whole = 1.0 + prior[:, None] * np.maximum(lengths, 0.0)[:, None]  # (C, 3, k)
-        each = 0.5 * ((prior[:, None] / whole) @ along - np.log(whole).sum(axis=2)[..., None])  # (C, 3, D)
-        most = each.max(axis=1)
-        return np.asarray(most + np.log(np.exp(each - most[:, None]).mean(axis=1)))
+        return np.asarray(0.5 * ((prior[:, None] / whole) @ along - np.log(whole).sum(axis=2)[..., None]))
+
+    def _of_one(self, info: Array, scores: Array) -> Array:
+        """(C, 3) of each amplitude for scores (C, k), without axes: of the matrix (1 + ΛI, Λ½S; its transpose, c) the
+        Cholesky factor's diagonal has the root of c − SᵀΛ½(1 + ΛI)⁻¹Λ½S last, and the determinant in the rest."""
+        count, k = scores.shape
+        out = np.empty((count, len(AMPLITUDES)))
+        square = np.einsum("ck,ck->c", scores, scores)
+        bordered = np.empty((count, k + 1, k + 1))
+        for a, amplitude in enumerate(AMPLITUDES):
+            prior = (amplitude * self.repeatability) ** 2 / k
+            bordered[:, :k, :k] = prior * info + np.eye(k)
+            bordered[:, k, :k] = np.sqrt(prior) * scores
+            bordered[:, k, k] = 1.0 + prior * square
+            diagonal = np.diagonal(np.linalg.cholesky(bordered), axis1=1, axis2=2)
+            explained = 1.0 + prior * square - diagonal[:, k] ** 2
+            out[:, a] = 0.5 * explained - np.log(diagonal[:, :k]).sum(axis=1)
+        return out
 
     def scores(self) -> Array:
         """Zᵀ V⁻¹ y of every column, what was taken up included in V: (K,)."""
@@ -175,7 +195,8 @@ class Tried:
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
-        weighted = (evidence + self.log_share).T[self._sorted]
+        weighted = evidence.T[self._sorted]
+        weighted += self.log_share[self._sorted, None]
         most = np.maximum.reduceat(weighted, self._starts)
         most = np.where(np.isfinite(most), most, 0.0)
         away = weighted - np.repeat(most, np.diff(self._starts, append=len(weighted)), axis=0)
@@ -196,12 +217,6 @@ class Tried:
         return np.asarray(self.by_name(self.evidence(scores.T)).max(axis=1))
 
 
-def _side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
-    """Parts that write to places of their own, on several cores: each is a product in one thread (`one_thread`)."""
-    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as threads:
-        list(threads.map(work, parts))
-
-
 def p_value(observed: float, null: Array) -> float:
     """Share of the null at or above what was observed. Beyond all but TOP of its draws it falls by e per unit of log
     evidence, and not faster: odds of k to 1 come from nothing at most once in k times (Markov's inequality)."""
@@ -215,10 +230,8 @@ def p_value(observed: float, null: Array) -> float:
 def corrected_residual(space: Workspace) -> Array:
     """(F, 3T) whitened residuals of the fit visits, corrected for leverage per visit: noise alone has unit variance."""
     size = space.rows
-    blocks = space.white.reshape(-1, size, space.white.shape[1])
-    half = cho_solve(space.factor, space.white.T).T.reshape(blocks.shape)
-    extra = space.absorbed.reshape(len(blocks), size, space.absorbed.shape[1])
-    keep = np.eye(size) - blocks @ np.swapaxes(half, 1, 2) - extra @ space.middle @ np.swapaxes(extra, 1, 2)
+    extra = space.absorbed.reshape(len(space.kept), size, space.absorbed.shape[1])
+    keep = space.kept - extra @ space.middle @ np.swapaxes(extra, 1, 2)
     values, vectors = np.linalg.eigh(0.5 * (keep + np.swapaxes(keep, 1, 2)))
     root = (vectors / np.sqrt(np.maximum(values, 0.05))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return np.asarray((root @ space.left().reshape(-1, size, 1))[..., 0])

@@ -19,6 +19,7 @@ Mask = NDArray[np.bool_]
 # A visit is wrong when noise would do this to one visit in a thousand recordings.
 GROSS = 1e-3
 FAR, FAR_AMONG_SWINGS = 6.0, 15.0  # times the mean square of noise, at least; where some visits swing more than others
+IN_BETWEEN, HEAVY = 1e-3, 0.02  # tails are heavy where so few visits of noise would swing that far, by such a chance
 TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's travel
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.001
@@ -64,11 +65,9 @@ def gross_errors(space: Workspace) -> GrossErrors:
     residual = corrected_residual(space) / np.sqrt(weights[space.fit])[:, None]
     freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
     distance = (residual**2).sum(axis=1)
-    scale = float(np.median(distance / chi2.median(freedom)))  # 1 when the noise is what the estimate says
-    tail = chi2.sf(distance / max(scale, 1e-12), freedom)
-    # heavier tails than normal are common: only what is far beyond them is wrong
-    least = FAR_AMONG_SWINGS if space.calmed else FAR
-    far = (tail < GROSS / len(distance)) & (distance > least * scale * freedom)
+    scale = _scale(distance, freedom)
+    tail = chi2.sf(distance / scale, freedom)
+    far = distance > _limit(space, distance, freedom, scale)
     if not far.any() or far.mean() > 0.1:
         return GrossErrors()
     visits = np.flatnonzero(space.fit)[far]
@@ -126,6 +125,21 @@ def left_at_a_place(space: Workspace, gross: GrossErrors) -> dict[str, Any] | No
     }  # fmt: skip
 
 
+def _scale(distance: Array, freedom: Array) -> float:
+    """1 when the noise is what the estimate says."""
+    return max(float(np.median(distance / chi2.median(freedom))), 1e-12)
+
+
+def _limit(space: Workspace, distance: Array, freedom: Array, scale: float) -> Array:
+    """(V,) squared distances of V visits beyond which one is simply wrong. Heavier tails than normal are common: only
+    what is far beyond them is wrong, and farther where some visits swing more than others."""
+    tail = chi2.sf(distance / scale, freedom)
+    swings = int(((tail < IN_BETWEEN) & (distance < FAR * scale * freedom)).sum())
+    heavy = space.calmed or binom.sf(swings - 1, len(distance), IN_BETWEEN) < HEAVY
+    least = FAR_AMONG_SWINGS if heavy else FAR
+    return np.asarray(scale * np.maximum(chi2.isf(GROSS / len(distance), freedom), least * freedom))
+
+
 def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:
     """Those of the visits that stay wrong when what was found is taken into account (`space` has it taken up): a
     visit may have been odd by an effect that nobody knew yet, or by what the effect's form leaves where it is largest:
@@ -141,9 +155,7 @@ def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> Gr
     white = np.einsum("nij,nj->ni", space.root, left)
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)
-    scale = float(np.median((distance / chi2.median(freedom))[space.fit]))
-    least = FAR_AMONG_SWINGS if space.calmed else FAR
-    limit = np.maximum(scale * chi2.isf(GROSS / len(distance), freedom), least * scale * freedom)
+    limit = _limit(space, distance, freedom, _scale(distance[space.fit], freedom[space.fit]))
     wrong = (distance > limit) & (size > np.maximum(there, OF_A_RIDDLE * riddle))
     kept = tuple(v for v in gross.visits if wrong[v])
     return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})

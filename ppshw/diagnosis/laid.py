@@ -13,19 +13,22 @@ kept in single precision: some 35,000 of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Single = NDArray[np.float32]
 Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 BLOCK = 512  # columns at a time in double precision
+MOST_THREADS = 4  # each holds a part of its own
 NOWHERE = -1
 
 
@@ -53,7 +56,7 @@ class Laid:
         self._fields = np.empty((len(elsewhere), fit * rows), dtype=np.float32)
         jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))  # (n+1, 6, N, 3T)
         readings = max(int(space.recording.seen.sum()), 1)
-        known: dict[tuple[object, ...], Array] = {}
+        known: dict[str, Array] = {}
         self._white: list[Array] = []  # (F, 3T) of every group
         self._spans: list[slice] = []
         at = 0
@@ -64,13 +67,13 @@ class Laid:
             self._group[members] = len(self._white)
             self._white.append(np.einsum("nij,nj->ni", space.root[space.fit], there[space.fit]))
             self._spans.append(slice(at, at + len(members)))
-            for k in members:
-                key = key_of(columns[k])[1:3]
-                if key not in known:
-                    known[key] = columns[k].value(space.context)
-                self.scale[k] = max(np.sqrt(known[key] ** 2 @ squares / readings), 1e-30)
-                self._values[at] = known[key][space.fit] / self.scale[k]
-                at += 1
+            for first in range(0, len(members), BLOCK):
+                part = members[first : first + BLOCK]
+                values = np.array([_value(columns[k], space.context, known) for k in part])
+                scale = np.maximum(np.sqrt(values**2 @ squares / readings), 1e-30)
+                self.scale[part] = scale
+                self._values[at : at + len(part)] = values[:, space.fit] / scale[:, None]
+                at += len(part)
         self._place[elsewhere] = np.arange(at, at + len(elsewhere))
         for row, k in enumerate(elsewhere):
             raw = columns[k].evaluate(space.context)
@@ -83,8 +86,13 @@ class Laid:
     def product(self, x: Array) -> Array:
         """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
         out = np.empty((len(self.scale), x.shape[1]))
-        for along, span in self._along(x):
+        parts = list(self._along(x))
+
+        def of_part(k: int) -> None:
+            along, span = parts[k]
             out[span] = self._values[span] @ along.astype(np.float32)
+
+        side_by_side(of_part, range(len(parts)))
         out[len(self._values) :] = self._fields @ x.astype(np.float32)
         return out[self._place]
 
@@ -136,10 +144,15 @@ class Laid:
     def _double(self, x: Array) -> Array:
         """Zᵀ x as `product`, in double precision, in the order of the rows."""
         out = np.empty((len(self.scale), x.shape[1]))
-        for along, span in self._along(x):
+        parts = list(self._along(x))
+
+        def of_part(k: int) -> None:
+            along, span = parts[k]
             for at in range(span.start, span.stop, BLOCK):
                 part = slice(at, min(at + BLOCK, span.stop))
                 out[part] = self._values[part].astype(float) @ along
+
+        side_by_side(of_part, range(len(parts)))
         for at in range(0, len(self._fields), BLOCK):
             part = slice(at + len(self._values), at + len(self._values) + BLOCK)
             out[part] = self._fields[at : at + BLOCK].astype(float) @ x
@@ -166,6 +179,20 @@ def _sorted(columns: Sequence[Column]) -> tuple[dict[tuple[int, int], list[int]]
         else:
             elsewhere.append(k)
     return of_group, elsewhere
+
+
+def side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
+    """Parts that write to places of their own, on several cores: each is a product in one thread (`one_thread`)."""
+    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as threads:
+        list(threads.map(work, parts))
+
+
+def _value(column: Column, context: Context, known: dict[str, Array]) -> Array:
+    """A column's function (N,), worked out once for all places that it acts at."""
+    key = repr((column.function, column.args))
+    if key not in known:
+        known[key] = column.value(context)
+    return known[key]
 
 
 def key_of(column: Column) -> Key:

@@ -280,9 +280,9 @@ def _at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
 
 def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     """What has no name has no near forms either: it leaves something in the same component, over the same columns, and
-    over time where it lags or a reflector wanders."""
+    over time where it goes with a temperature, lags, or a reflector wanders."""
     over = any(candidate.covariate in name for name in other.covariates)
-    slow = any(name.startswith("late_") for name in other.covariates)
+    slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
     slow = slow or any(column.function == "target_shift" for column in other.columns)
     return _same_place(candidate, other) or over or (slow and candidate.covariate == "time")
 

@@ -87,7 +87,8 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
     weights = np.array([k.share for k in tried.candidates]) if weights is None else weights
     seen, shares = _of_forms(tried)
     names = [j for j, name in enumerate(tried.names) if name[0] != "nameless"]
-    spread = [_by_visibility(np.flatnonzero(tried.name_of == j), seen / _widths(tried), weights) for j in names]
+    per_column = seen / _widths(tried)
+    spread = [_by_visibility(np.flatnonzero(tried.name_of == j), per_column, weights) for j in names]
     forms = np.array([middle for _, middle, _ in spread], dtype=int)
     if not len(forms):
         return []

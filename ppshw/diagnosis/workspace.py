@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +113,13 @@ class Workspace:
     def absorb(self, white: Array) -> Array:
         """P Z: whitened columns (F·3T, k) less what the base model takes of them."""
         return np.asarray(white - self.white @ cho_solve(self.factor, self.white.T @ white))
+
+    @cached_property
+    def kept(self) -> Array:
+        """(F, 3T, 3T) of P: what the base model leaves of a fit visit's own readings."""
+        blocks = self.white.reshape(-1, self.rows, self.white.shape[1])
+        half = cho_solve(self.factor, self.white.T).T.reshape(blocks.shape)
+        return np.asarray(np.eye(self.rows) - blocks @ np.swapaxes(half, 1, 2))
 
     def forget(self) -> None:
         """Nothing taken up."""

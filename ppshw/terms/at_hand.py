@@ -34,6 +34,7 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
                      "own_weight", "hanging", "pair", "product", "body_weight", "sensor_error", "sensor_off",
                      "pulled", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
                      "instead"})  # fmt: skip
+BY_CLOCK_ALONE = frozenset({"clock", "step", "settling"})  # of which are functions of nothing else
 FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
@@ -72,6 +73,7 @@ class KnownEffects:
         # only those ask for the links' compliances
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
         self._compliance_at: tuple[Array, Array] | None = None
+        self._averages: dict[tuple[object, ...], Array] = {}
 
     @property
     def machine(self) -> Machine:
@@ -155,6 +157,14 @@ class KnownEffects:
             return np.zeros((self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
+        if column.function not in BY_CLOCK_ALONE:
+            return self._on_average(effect, column, context)
+        key = effect.name, column.function, tuple(sorted(column.args.items()))
+        if key not in self._averages:
+            self._averages[key] = self._on_average(effect, column, context)
+        return self._averages[key]
+
+    def _on_average(self, effect: Effect, column: Column, context: Context) -> Array:
         hours = self._reference.get("hours", 0.0)
         moments = [hours] if effect.name == "zero_shift" else np.linspace(0.0, hours, GRID).tolist()
         values = [column.value(replace(context, hours=np.full_like(context.hours, h)))[-1] for h in moments]

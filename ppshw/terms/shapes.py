@@ -225,16 +225,21 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
     """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" the τ-th over the
     recording, "step" 1 and "ramp" t − τ from τ on."""
     t = c.hours
-    forms = {
-        "linear": t,
-        "exponential": 1.0 - np.exp(-t / tau),
-        "log": np.log1p(t / tau),
-        "step": (t >= tau).astype(float),
-        "ramp": np.maximum(t - tau, 0.0),
-        # what wanders without a law stays where it was last seen
-        "cosine": np.cos(np.pi * tau * np.clip(t / max(c.frozen("hours", float(t[-1])), 1e-9), 0.0, 1.0)),
-    }
-    return np.asarray(forms[form])
+    match form:
+        case "linear":
+            return t
+        case "exponential":
+            return np.asarray(1.0 - np.exp(-t / tau))
+        case "log":
+            return np.asarray(np.log1p(t / tau))
+        case "step":
+            return step(c, tau)
+        case "ramp":
+            return np.maximum(t - tau, 0.0)
+        case "cosine":  # what wanders without a law stays where it was last seen
+            whole = max(c.frozen("hours", float(t[-1])), 1e-9)
+            return np.asarray(np.cos(np.pi * tau * np.clip(t / whole, 0.0, 1.0)))
+    raise ValueError(f"unknown course in time '{form}'")
 
 
 def clock_q(c: Context, order: int, joint: int) -> Array:

@@ -55,8 +55,25 @@ def _with(space: Workspace, column: Column, times: float) -> Workspace:
     return replace(space, data=space.data + moved)
 
 
+_CANDIDATES: dict[int, list[Candidate]] = {}  # of a context, which all workspaces of a recording share
+
+
+def _named(space: Workspace, *effects: str) -> list[Candidate]:
+    """Candidates of some effects, or without a name."""
+    every = _CANDIDATES.setdefault(id(space.context), [])
+    every += [] if every else library(space.context) + nameless(space.context)
+    return [k for k in every if k.effect in effects]
+
+
+def _creep_and_riddles(space: Workspace) -> list[Candidate]:
+    """Of one joint's own component: few, for what only asks who is who."""
+    creeping = [k for k in _named(space, "creep") if k.joint == NAME and k.component]
+    place = creeping[0].frame, creeping[0].component
+    return creeping + [k for k in _named(space, "nameless") if (k.frame, k.component) == place]
+
+
 def _search(space: Workspace, effects: Sequence[str]) -> tuple[list[Found], Tried]:
-    some = [k for k in library(space.context) if k.effect in effects] + nameless(space.context)
+    some = _named(space, *effects, "nameless")
     tried = Tried(space, some, 5e-5)
     return search(space, tried, np.random.default_rng(0)), tried
 
@@ -126,10 +143,8 @@ def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) 
 @pytest.mark.parametrize(("share", "beside"), [(0.05, False), (0.2, True)])
 def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: float, beside: bool) -> None:
     """It is what the named form leaves, however large its size came out."""
-    creeping = [k for k in library(space.context) if k.effect == "creep" and k.joint == NAME and k.component]
-    some = creeping + nameless(space.context)
-    place = some[0].frame, some[0].component
-    there = next(j for j, k in enumerate(some) if k.effect == "nameless" and (k.frame, k.component) == place)
+    some = _creep_and_riddles(space)
+    there = next(j for j, k in enumerate(some) if k.effect == "nameless")
     tried = Tried(space, some, 5e-5)
     named = Found(0, ("creep", NAME), 0.0, 160.0, size=5e-5, first=160.0)
     riddle = Found(there, ("nameless", None), 0.0, 160.0 * share, size=4e-5, first=160.0 * share)
@@ -145,8 +160,7 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, with_all: float, stands: bool
 ) -> None:
     """The best rival without a name says 100."""
-    creeping = [k for k in library(space.context) if k.effect == "creep" and k.joint == NAME and k.component]
-    some = creeping + nameless(space.context)
+    some = _creep_and_riddles(space)
     tried = Tried(space, some, 5e-5)
     evidence = np.where([k.effect == "nameless" for k in some], 100.0, own)
     evidence -= math.log(sum(math.exp(share) for share in tried.log_share[evidence == 100.0]))
@@ -162,7 +176,7 @@ def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
 ) -> None:
     """Of the next finding the name that is found already is preferred, where it explains more than half as much: not
     for what happened at another moment."""
-    some = [k for k in library(space.context) if k.effect in ("zero_shift", "drift")]
+    some = _named(space, "zero_shift", "drift")
     tried = Tried(space, some, 5e-5)
     jumps = [j for j, k in enumerate(some) if k.effect == "zero_shift"]
     first = next(j for j in jumps if some[j].joint == "roll")
@@ -205,7 +219,7 @@ def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> No
 
 def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Workspace) -> None:
     """What is a hundredth of it and happens an hour later is a jump of its own; so is a large one at the same time."""
-    some = [k for k in library(space.context) if k.effect in ("target_moved", "zero_shift") and "time_h" in k.shape]
+    some = [k for k in _named(space, "target_moved", "zero_shift") if "time_h" in k.shape]
     tried = Tried(space, some, 5e-5)
     knocks = [j for j, k in enumerate(some) if k.effect == "target_moved"]
     knock = knocks[len(knocks) // 2]
@@ -220,7 +234,7 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
 
 def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
     """What the form of an effect leaves is at the effect's own place, as a function of the load there."""
-    some = [k for k in library(space.context) if k.effect in ("creep", "wrench_error")] + nameless(space.context)
+    some = _named(space, "creep", "wrench_error", "nameless")
     creep = next(j for j, k in enumerate(some) if k.effect == "creep" and k.joint == NAME and k.component)
     tried = Tried(space, some, 5e-5)
     shows = [float((tried.seen / tried.laid.plain)[tried.index[j]].min()) for j in range(len(some))]
@@ -279,7 +293,7 @@ def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Wo
 
 
 def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Workspace) -> None:
-    clearance = next(k for k in library(space.context) if k.effect == "clearance")
+    clearance = _named(space, "clearance")[0]
 
     def widths(without: frozenset[str]) -> set[float]:
         near = near_forms(space.context, clearance, without)
