@@ -157,6 +157,13 @@ def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
             yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
             yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
+        for comp in range(6):  # goes one way, then another
+            turns = tuple(
+                Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
+                for form, tau in (("linear", 1.0), ("ramp", moment))
+            )
+            where = ("drift", None, "base", COMPONENTS[comp], "time")
+            yield Candidate(*where, turns, {"time_h": moment}, 0.1 / len(moments))
     for order in (2, 3, 4):
         waves = [
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))

@@ -44,7 +44,7 @@ def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind; shares add up to one."""
     makers = (
         _of_one_column, _along_a_joint, _base_in_all_directions, _at_a_moment, _rhythms, _reversals, _under_load,
-        _of_what_was_read, _pulls, _own_heat, _of_two_columns, _finely, _of_two_positions,
+        _of_what_was_read, _pulls, _own_heat, _with_another_position, _of_two_columns, _finely, _of_two_positions,
         _of_three_positions, _at_the_reflectors,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
@@ -184,6 +184,11 @@ def _reversals(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (came, way), [
                 Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
             ])  # fmt: skip
+        for comp in set(range(6)) - {own_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
+            side = Column("frame", "approach", {"joint": k}, k + 1, comp)
+            where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
+            yield _nameless(c, k + 1, comp, (came,), (side,))
+            yield _nameless(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
 
 
 def _under_load(c: Context) -> Iterator[Candidate]:
@@ -280,6 +285,25 @@ def _own_heat(c: Context) -> Iterator[Candidate]:
                 Column("frame", "covariate", {"name": pace}, k + 1, comp),
                 Column("frame", "covariate_pair", args, k + 1, comp),
             ])  # fmt: skip
+
+
+def _with_another_position(c: Context) -> Iterator[Candidate]:
+    """What a link does with a temperature, however late, with time, from the side that its joint came from, or under
+    its load, goes in proportion to another joint's position."""
+    warm = [f"temp_{place}_C" for place in temperature_places(c)]
+    anywhere = [*warm, *(f"late_1_{name}" for name in warm), "time"]
+    for (k, name), (_, other) in itertools.permutations(moving_joints(c), 2):
+        frame, directions = k + 1, range(6)
+        if frame == c.machine.n:  # the tip's are below
+            continue
+        ways = [(what, comp) for what in anywhere for comp in directions]
+        ways += [(f"on_{name}_{WRENCH_COMPONENTS[b]}", b) for b in loads_on(c, frame)]
+        if len(np.unique(c.recording.approach[:, k])) > 1:
+            ways += [(f"approach_{name}", comp) for comp in directions]
+        for what, comp in ways:
+            args = {"first": what, "second": f"q_{other}", "a": 0, "b": 0, "count": 1}
+            product = Column("frame", "covariate_pair", args, frame, comp)
+            yield _nameless(c, frame, comp, (what, f"q_{other}"), (product,))
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:

@@ -101,6 +101,8 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
             if _name(tried, start[0]) in [f.name for f in found]:
                 continue
             instead = _greedy(space, tried, start, None)
+            if len(found) == len(instead) == 1:  # no two effects: its name was compared with the others already
+                continue
             total = _explained(space, tried, instead)
             if len(instead) <= len(found) - FEWER:
                 total += _against_riddles(instead)
@@ -315,6 +317,8 @@ def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
 
 
 def _of_same_effect(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    if one.effect == "nameless":
+        return other.effect == "nameless" and _of_a_riddle(one, other)
     moments = "time_h" in one.shape and "time_h" in other.shape
     return one.effect == other.effect and (not moments or _at_once(tried, one, other))
 
@@ -408,7 +412,7 @@ def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
             if f.evidence < LEAST_FURTHER:
                 found.remove(f)
             elif best != f.best:
-                f.best, f.name, f.size = best, _name(tried, best), 0.0
+                f.best, f.name, f.size, f.first = best, _name(tried, best), 0.0, f.evidence
             else:
                 continue
             changed = True

@@ -35,6 +35,20 @@ def test_a_wrong_visit_is_found_and_none_in_a_clean_recording(clean: Workspace, 
     assert gross_errors(bad).visits == (BAD,)
 
 
+def test_a_lone_visit_is_not_wrong_where_others_swing_further_than_noise(clean: Workspace) -> None:
+    """Of 180 visits noise would swing one so far in five recordings; where four do, the limit is farther."""
+
+    def wrong(others: float) -> tuple[int, ...]:
+        points = clean.recording.points.copy()
+        points[BAD, :, 0] += OFF / 3
+        points[[40, 70, 110, 150], :, 1] += others
+        recording = replace(clean.recording, points=points)
+        return gross_errors(prepare(clean.machine, recording, clean.fit)).visits
+
+    assert wrong(others=0.0) == (BAD,)
+    assert wrong(others=2e-4) == ()
+
+
 @pytest.fixture(scope="module")
 def aside(bad: Workspace) -> Workspace:
     """Fitted to the others."""

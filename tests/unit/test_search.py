@@ -192,6 +192,30 @@ def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
         assert module._best(tried, found)[0] == wanted
 
 
+def test_what_has_no_name_draws_no_other_place_to_itself(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name is not given up for a function without one, because another stands elsewhere already."""
+    some = _creep_and_riddles(space) + [k for k in _named(space, "nameless") if k.frame == "lateral"]
+    tried = Tried(space, some, 5e-5)
+    there = next(j for j, k in enumerate(some) if k.covariates[:1] == (f"approach_{NAME}",) and k.frame == NAME)
+    elsewhere = next(j for j, k in enumerate(some) if k.covariates == ("cov_humidity",) and k.frame == "lateral")
+    found = [Found(elsewhere, ("nameless", None), 0.0, 100.0, first=100.0)]
+    names = np.array([20.0 if name[0] == "creep" else 11.0 for name in tried.names])
+    for again, wanted in ((there, "creep"), (elsewhere, "nameless")):
+        evidence = np.where(np.arange(len(some)) == again, 15.0, -50.0)
+        monkeypatch.setattr(module, "_names", lambda _, said=(evidence, names): said)
+        assert some[module._best(tried, found)[0]].effect == wanted
+
+
+def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
+    k, other = (space.machine.joint_names.index(name) for name in ("vertical", "yaw"))
+    air, q = space.recording.temperatures["air"], space.recording.q[:, other]
+    moved = space.context.jacobian[:, :, k + 1, 0] * ((air - air.mean()) * (q - q.mean()))[:, None]
+    moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["thermal_growth", "wrench_error", "tracker_scale"])
+    assert {f.name for f in found} == {("nameless", None)}
+    assert set(_best(tried, found[0]).covariates) >= {"q_yaw"}
+
+
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}
