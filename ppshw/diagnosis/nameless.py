@@ -37,6 +37,7 @@ SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relati
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
 ABOUT_ZERO = 9  # bumps over what is finest about zero
 OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
+IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
 KNOTS = 5  # bumps over the ranks of a column
 
 
@@ -206,10 +207,13 @@ def _under_load(c: Context) -> Iterator[Candidate]:
             slips = [Column("frame", "load_slip", {**where, "width": w}, frame, b) for w in SLIPS]
             sides = [Column("frame", "load_side_held", {**where, "width": w}, frame, b) for w in SIDES]
             lagging = [Column("frame", "covariate", {"name": name}, frame, b) for name in late]
+            # what hung there before the recording is not known
+            first = [Column("frame", "settling", {"visit_time": 0.0, "tau": t}, frame, b) for t in LOAD_LATE_H]
             found = [
                 _nameless(c, frame, b, (load,), _bumps(load, frame, b)),
                 _nameless(c, frame, b, (load,), powers),
                 _nameless(c, frame, b, (load, late[1]), lagging),
+                _nameless(c, frame, b, (load, late[1]), [*lagging, *first]),
                 _smooth_pair(c, frame, b, load, f"previous_{load}"),
                 _nameless(c, frame, b, (load,), about_zero),
                 _nameless(c, frame, b, (load, f"previous_{load}"), slips),
@@ -297,7 +301,8 @@ def _with_another_position(c: Context) -> Iterator[Candidate]:
         if frame == c.machine.n:  # the tip's are below
             continue
         ways = [(what, comp) for what in anywhere for comp in directions]
-        ways += [(f"on_{name}_{WRENCH_COMPONENTS[b]}", b) for b in loads_on(c, frame)]
+        if c.recording.has_wrench:
+            ways += [(f"on_{name}_{WRENCH_COMPONENTS[b]}", b) for b in loads_on(c, frame)]
         if len(np.unique(c.recording.approach[:, k])) > 1:
             ways += [(f"approach_{name}", comp) for comp in directions]
         for what, comp in ways:
@@ -341,7 +346,8 @@ def _finely(c: Context) -> Iterator[Candidate]:
     """A function of one position finer than the base model's, octave by octave."""
     for k, name in moving_joints(c):
         span = float(np.ptp(c.recording.q[:, k]))
-        for comp, least in itertools.product(range(6), OCTAVES):
+        finer = [(own_component(c, k), least) for least in IN_ITS_DIRECTION]
+        for comp, least in [*itertools.product(range(6), OCTAVES), *finer]:
             waves = [
                 Column("frame", "wave", {"joint": k, "period": 2 * span / j, "phase": phase}, k + 1, comp)
                 for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")

@@ -50,8 +50,9 @@ PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
-# A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it.
-SHADOW, OF_A_WAVE = 0.1, 0.2
+# A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it. What has no
+# name has no near forms either and leaves twice as much.
+SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE = 0.1, 0.2, 2.0
 AT_ONCE = 0.02  # of the recording's duration: moments that are one
 LOADS = frozenset({
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
@@ -253,7 +254,7 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
             by_load = same_cause = False
         riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         wave = candidate.effect == "periodic_transmission" != other.effect
-        least = SHADOW * f.first * (OF_A_WAVE if wave else 1.0)
+        least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
         if (same_joint or by_load or same_cause or riddle) and evidence < least:
             return f
     return None
@@ -281,12 +282,14 @@ def _at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
 
 
 def _of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
-    """What has no name has no near forms either: it leaves something in the same component, over the same columns, and
-    over time where it goes with a temperature, lags, or a reflector wanders."""
+    """What a function without a name leaves: something in the same component, over the same columns, by a load where it
+    goes with one, and over time where it goes with a temperature, lags, or a reflector wanders."""
+    loads = any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in other.covariates)
     over = any(candidate.covariate in name for name in other.covariates)
     slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
     slow = slow or any(column.function == "target_shift" for column in other.columns)
-    return _same_place(candidate, other) or over or (slow and candidate.covariate == "time")
+    by_load = loads and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
+    return _same_place(candidate, other) or over or by_load or (slow and candidate.covariate == "time")
 
 
 def _same_place(one: Candidate, other: Candidate) -> bool:

@@ -216,6 +216,17 @@ def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(
     assert set(_best(tried, found[0]).covariates) >= {"q_yaw"}
 
 
+def test_a_screw_s_wave_without_its_name_is_unexplained_over_its_joint(space: Workspace) -> None:
+    k = space.machine.joint_names.index("longitudinal")
+    period = float(np.ptp(space.recording.q[:, k])) / 44.3
+    own = own_component(space.context, k)
+    wave = Column("frame", "wave", {"joint": k, "period": period, "phase": "sin"}, k + 1, own)
+    found, tried = _search(_with(space, wave, 2.0), ["cross_coupling", "friction_hysteresis"])
+    assert [f.name for f in found] == [("nameless", None)]
+    assert _best(tried, found[0]).covariates == ("q_longitudinal",)
+    assert 0.8e-4 < found[0].size < 1.2e-4
+
+
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}
