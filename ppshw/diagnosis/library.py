@@ -37,7 +37,8 @@ SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from 
 TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
-FINELY_TWO = 9  # order of polynomials in two positions: five half waves of one where there are four of the other
+# Powers of polynomials in two positions, to the ninth order: five half waves of one where there are four of the other.
+FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 
 
@@ -300,9 +301,8 @@ def _coupling(c: Context) -> Iterator[Candidate]:
                         "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", pair, {}, 0.5 / len(LUMPS),
                         (f"q_{name}", f"q_{other}"),
                     )  # fmt: skip
-                finely = tuple((i, j) for i in range(1, FINELY_TWO) for j in range(1, FINELY_TWO + 1 - i))
                 for powers, share in (
-                    (finely, 0.3),
+                    (FINELY_TWO, 0.3),
                     (((1, 1),), 1.0), (((0, 1), (1, 1)), 0.5), (((0, 1), (0, 2)), 0.5),
                     (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
                     (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),

@@ -370,7 +370,7 @@ def _of_two_positions(c: Context) -> Iterator[Candidate]:
             ])  # fmt: skip
             yield _nameless(c, k + 1, comp, names, [
                 Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": j}, k + 1, comp)
-                for i in range(1, FINELY_TWO) for j in range(1, FINELY_TWO + 1 - i)
+                for i, j in FINELY_TWO
             ])  # fmt: skip
             period = 2 * float(np.ptp(c.recording.q[:, k]))
             for least in OCTAVES[:2]:
@@ -412,10 +412,16 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
         )  # fmt: skip
         yield Candidate("nameless", None, None, None, angle, off)
     for place in ("", *temperature_places(c)):
-        stretched = tuple(
+        stretched = [
             Column("points", "strain", {"first": a, "second": b, "place": place})
             for a, b in itertools.combinations_with_replacement(range(3), 2)
-        )
-        warm = (f"temp_{place}_C",) if place else ()
-        what = " × ".join(("distance", *warm))
-        yield Candidate("nameless", None, None, None, what, stretched, covariates=warm)
+        ]
+        if not place:
+            yield Candidate("nameless", None, None, None, "distance", tuple(stretched))
+            continue
+        # about another point than where the instrument is said to stand: everything shifts as well
+        shifts = [Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3)]
+        for columns in (stretched, [*stretched, *shifts]):
+            yield replace(
+                _nameless(c, None, None, (f"temp_{place}_C",), columns), covariate=f"distance × temp_{place}_C"
+            )
