@@ -109,7 +109,7 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
     first = k.columns[0]
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
-        for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total")
+        for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total", "began")
     ]  # fmt: skip
 
 

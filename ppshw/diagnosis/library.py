@@ -71,7 +71,7 @@ def library(
     """
     makers = (
         _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
-        _wrench, _creep, _zero_shift, _missing_compliance,
+        _wrench, _creep, _creep_from_nothing, _zero_shift, _missing_compliance,
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
     found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
@@ -401,6 +401,18 @@ def _creep(c: Context) -> Iterator[Candidate]:
                     "creep", name, name, COMPONENTS[b], "since_load_change", columns, shape,
                     half if b > 2 else 0.3 * half,
                 )  # fmt: skip
+
+
+def _creep_from_nothing(c: Context) -> Iterator[Candidate]:
+    """Links that creep where nothing had hung there before the recording, or something else."""
+    if len(set(c.recording.load)) < 2:
+        return
+    began = [("total", "began")] + [("exponential", "first")] * c.recording.has_wrench
+    for forms, tau, (frame, name, acting) in itertools.product(began, CREEP_H, list(_elastic_frames(c))):
+        for b in acting:
+            args = {"frame": frame, "component": b, "tau": tau}
+            both = tuple(Column("frame", "creeping", {**args, "form": form}, frame, b) for form in forms)
+            yield Candidate("creep", name, name, COMPONENTS[b], "since_load_change", both, {"tau_h": tau}, 0.3)
 
 
 def _zero_shift(c: Context) -> Iterator[Candidate]:

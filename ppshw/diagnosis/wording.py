@@ -148,7 +148,8 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "creep":
         load = WRENCH_COMPONENTS[candidate.columns[0].component]
         name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
-        names, units = [name, f"slow_{name}"][: len(values)], [of] * len(values)
+        second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
+        names, units = [name, second][: len(values)], [of] * len(values)
     out: dict[str, dict[str, Any]] = {
         name: {"value": float(v * f), "std": float(s * abs(f)), "unit": u}
         for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)

@@ -36,6 +36,7 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
                      "instead"})  # fmt: skip
 BY_CLOCK_ALONE = frozenset({"clock", "step", "settling"})  # of which are functions of nothing else
 FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
+BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
@@ -140,7 +141,7 @@ class KnownEffects:
         return np.concatenate([out, np.array(more).reshape(-1, *base.shape[1:])]), std
 
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
-        if column.on == "points" or column.args.get("form") == "first":  # what had hung there before that recording
+        if column.on == "points" or column.args.get("form") in BEFORE_IT:
             return
         size = self._now(effect, column, context)
         if column.on == "frame":

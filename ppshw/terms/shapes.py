@@ -472,11 +472,13 @@ def _late(c: Context, tau: float, form: str) -> Array:
     """(N, n+1, 6) of every link's wrench that it does not follow yet.
 
     form  "wrench": of the payload's, "total": of the machine's own weight too, a first-order lag of the wrench on the
-          link, which every move changes; else of former changes of load alone, as they act in the pose of now: see
-          `load_memory`
+          link, which every move changes; "began": what that adds had nothing acted there before the calibration's
+          recording; else of former changes of load alone, as they act in the pose of now: see `load_memory`
     """
 
     def late() -> Array:
+        if form == "began":
+            return np.asarray(c.wrenches[:1] * np.exp(-c.hours / tau)[:, None, None])
         if form in ("wrench", "total"):
             whole = c.wrenches - _own(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))

@@ -241,6 +241,24 @@ def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -
     assert parameters_of(pushed, np.array([1e-9]), np.array([1e-10]))["compliance"]["unit"] == "m/N"
 
 
+def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
+    k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
+    followed = np.zeros(len(c.hours))  # a spring and a dashpot, from rest, stepped as time goes
+    for n in range(1, len(followed)):
+        step = (c.hours[n] - c.hours[n - 1]) / 200
+        follows = followed[n - 1]
+        for _ in range(200):
+            follows += step / 0.4 * (c.wrenches[n - 1, k, 3] - follows)
+        followed[n] = follows
+    moved = c.jacobian[:, :, k, 3] * (c.wrenches[:, k, 3] - followed)[:, None]
+    moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["creep", "drift", "zero_shift"])
+    assert [f.name[0] for f in found] == ["creep"]
+    candidate = _best(tried, found[0])
+    assert [column.args["form"] for column in candidate.columns] == ["total", "began"]
+    assert "compliance_at_first" in parameters_of(candidate, np.ones(2), np.ones(2))
+
+
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
     """Wherever it turns, with the column that it depends on and at its own place."""
     bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
