@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 
 
-@dataclass(frozen=True)
+@dataclass
 class Candidate:
     """effect: the contract's name, or "nameless"; joint, frame, component, covariate: where it sits;
     columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name."""
@@ -80,7 +80,9 @@ def library(
     total: dict[str, float] = {}
     for k in found:
         total[k.effect] = total.get(k.effect, 0.0) + k.share
-    return [replace(k, share=k.share / total[k.effect]) for k in found]
+    for k in found:
+        k.share /= total[k.effect]
+    return found
 
 
 def own_component(c: Context, k: int) -> int:

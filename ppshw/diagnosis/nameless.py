@@ -49,7 +49,10 @@ def nameless(c: Context) -> list[Candidate]:
         _of_three_positions, _at_the_reflectors,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
-    return [replace(k, share=1.0 / len(kinds) / len(kind)) for kind in kinds for k in kind]
+    for kind in kinds:
+        for k in kind:
+            k.share = 1.0 / len(kinds) / len(kind)
+    return [k for kind in kinds for k in kind]
 
 
 def _nameless(
