@@ -27,9 +27,9 @@ types: env
 	$(BIN)/mypy
 layers: env
 	$(BIN)/lint-imports
-# One linear-algebra thread per test process, and one process more than two cores: a third of the tests wait for time to pass.
+# One linear-algebra thread per test process: two processes with two threads each would fight over two cores.
 unit: env
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 3
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -32,6 +32,7 @@ Progress = Callable[[int, int], None]
 Mask = NDArray[np.bool_]
 LEAST_VISITS = 40
 MOST_LOOKS = 3
+COLUMNS_PER_VISIT = 1 / 3  # of one candidate, at most
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,8 @@ def _look(
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
     candidates = library(space.context, without, moments, periods) + nameless(space.context)
+    # so many columns would fit anything that few visits say
+    candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, repeatability, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))

@@ -30,6 +30,7 @@ Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 BLOCK = 512  # columns at a time in double precision
 MOST_THREADS = 4  # each holds a part of its own
 NOWHERE = -1
+NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 
 
 class Laid:
@@ -37,15 +38,16 @@ class Laid:
 
     scale      (K,)    rms at the reflectors per unit, over all visits [m]
     plain      (K,)    ZᵀR⁻¹Z at unit rms
-    absorbing  (R, p)  A;  lengths (p,) s²;  turn (p, p) W
-    taken      (K, p)  G
+    absorbing  (R, a)  A, of the a directions that take up anything;  lengths (a,) s²;  turn (p, a) W
+    taken      (K, a)  G
     """
 
     def __init__(self, space: Workspace, columns: Sequence[Column]) -> None:
         self.space = space
         scaled = space.white * space.prior
-        lengths, self.turn = np.linalg.eigh(scaled.T @ scaled)
-        self.lengths = np.maximum(lengths, 0.0)
+        lengths, turn = np.linalg.eigh(scaled.T @ scaled)
+        some = lengths > NOTHING  # few visits tell fewer directions of the base model than it has parameters
+        self.lengths, self.turn = lengths[some], turn[:, some]
         self.absorbing = scaled @ self.turn
         fit, rows = int(space.fit.sum()), space.rows
         self.scale = np.empty(len(columns))

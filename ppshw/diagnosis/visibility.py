@@ -132,9 +132,10 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
         zᵀV₁⁻¹z = zᵀV⁻¹z + hᵀ (1 + D½ B⁻¹ D½)⁻¹ h,    h = D½ W (1 + s²)^−½ G
     """
     laid, caution = tried.laid, tried.space.caution
-    lengths = 1.0 + laid.lengths
-    freed = np.sqrt(np.maximum(caution**2 - 1.0, 0.0))[:, None] * laid.turn / np.sqrt(lengths)
-    inner = np.eye(len(lengths)) + freed @ freed.T
+    more_free = np.maximum(caution**2 - 1.0, 0.0)
+    freed = np.sqrt(more_free)[:, None] * laid.turn / np.sqrt(1.0 + laid.lengths)
+    held = freed * np.sqrt(laid.lengths)  # B⁻¹ = 1 − W s² (1 + s²)⁻¹ Wᵀ, whatever W leaves out has s = 0
+    inner = np.diag(1.0 + more_free) - held @ held.T
     regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T
     seen, more = np.empty(len(tried.candidates)), np.empty((len(tried.candidates), 2))
     for batch, info in zip(tried._batches, tried._info0, strict=True):

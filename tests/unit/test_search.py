@@ -72,8 +72,10 @@ def _creep_and_riddles(space: Workspace) -> list[Candidate]:
     return creeping + [k for k in _named(space, "nameless") if (k.frame, k.component) == place]
 
 
-def _search(space: Workspace, effects: Sequence[str]) -> tuple[list[Found], Tried]:
-    some = _named(space, *effects, "nameless")
+def _search(space: Workspace, effects: Sequence[str], about: str = "") -> tuple[list[Found], Tried]:
+    """about: a joint that rivals without a name sit at or speak of; all of them by default."""
+    rivals = [k for k in _named(space, "nameless") if k.frame == about or any(about in name for name in k.covariates)]
+    some = _named(space, *effects) + rivals
     tried = Tried(space, some, 5e-5)
     return search(space, tried, np.random.default_rng(0)), tried
 
@@ -83,17 +85,17 @@ def _best(tried: Tried, found: Found) -> Candidate:
 
 
 def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
-    found, tried = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis"])
+    found, tried = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis"], NAME)
     assert [f.name for f in found] == [("nameless", None)]
     assert _best(tried, found[0]).covariates[0] == f"approach_{NAME}"
-    found, _ = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"])
+    found, _ = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
 
 
 def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
     width = 0.15 * _travel(space)
     there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
-    found, tried = _search(there, ["friction_hysteresis", "backlash"])
+    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     weights = found[0].weights
     assert sum(weights.values()) == pytest.approx(1.0, abs=0.01)
@@ -106,7 +108,7 @@ def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(spac
     """What it loses is more than an eighth of the way over which it builds up."""
     width = 0.01 * _travel(space)
     there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
-    found, _ = _search(there, ["friction_hysteresis", "backlash"])
+    found, _ = _search(there, ["friction_hysteresis", "backlash"], NAME)
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
@@ -117,7 +119,8 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, unsure: float, may_be: bool
 ) -> None:
     width = 0.04 * _travel(space)
-    found, tried = _search(_with(space, _on_the_joint(space, "slipping", width=width), 3.0), ["friction_hysteresis"])
+    slipping = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
+    found, tried = _search(slipping, ["friction_hysteresis"], NAME)
     tried.names.append(("backlash", NAME))
     lag = np.array([0.05 * width]), np.array([unsure * width]), 0.0
     monkeypatch.setattr(module, "coefficients", lambda *_: lag)
@@ -287,7 +290,7 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
 
 def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
     """What the form of an effect leaves is at the effect's own place, as a function of the load there."""
-    some = _named(space, "creep", "wrench_error", "nameless")
+    some = _named(space, "creep", "wrench_error") + [k for k in _named(space, "nameless") if k.frame in (None, NAME)]
     creep = next(j for j, k in enumerate(some) if k.effect == "creep" and k.joint == NAME and k.component)
     tried = Tried(space, some, 5e-5)
     shows = [float((tried.seen / tried.laid.plain)[tried.index[j]].min()) for j in range(len(some))]
