@@ -9,7 +9,9 @@ STAMP  := $(VENV)/.installed
 demo: env
 	$(BIN)/ppshw demo --out demo-out
 
-test: lint types layers unit
+# Types are checked while tests wait.
+test: lint layers
+	$(MAKE) -j 2 types unit
 
 # The README's picture, from what `make demo` left.
 picture: env

@@ -425,7 +425,7 @@ def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
 
 def test_a_lost_worker_costs_its_case_alone_and_a_second_run_takes_up_where_it_stopped(tmp_path: Path) -> None:
     """The oracle leaves no calibration: it gains nothing, though the true form would."""
-    cases = [Spec(1, "pps", "null", 0.0, 120, 120), Spec(2, "pps", "backlash", 1.0, 160, 120)]
+    cases = [Spec(1, "pps", "null", 0.0, 80, 80), Spec(2, "pps", "backlash", 1.0, 120, 80)]
     first = run_prove(tmp_path, cases, dies_on_the_first, workers=2)
     assert first["lost"] == {"1": "its workers died, one after the other"}
     done = tmp_path / "scores/2.json"

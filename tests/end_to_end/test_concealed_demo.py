@@ -25,8 +25,8 @@ loads:
   - {name: left,  mass: 150, com: [-0.25, 0.15, 0.35]}
   - {name: head,  mass: 160, com: [0, 0.15, 0.85]}
 steps:
-  - {step: random_1, kind: random, count: 60, margin: 0.01}
-  - {step: random_2, kind: random, count: 60, margin: 0.01, loads: [head, empty, left]}
+  - {step: random_1, kind: random, count: 40, margin: 0.01}
+  - {step: random_2, kind: random, count: 40, margin: 0.01, loads: [head, empty, left]}
 """
 VERIFICATION = """\
 name: short proof
