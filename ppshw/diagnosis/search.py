@@ -320,6 +320,7 @@ def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
 
 
 def _of_same_effect(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    """Of the same name, and at the same moment what happened at one; without a name only what a riddle leaves."""
     if one.effect == "nameless":
         return other.effect == "nameless" and _of_a_riddle(one, other)
     moments = "time_h" in one.shape and "time_h" in other.shape
