@@ -9,9 +9,7 @@ STAMP  := $(VENV)/.installed
 demo: env
 	$(BIN)/ppshw demo --out demo-out
 
-# Types are checked while tests wait.
-test: lint layers
-	$(MAKE) -j 2 types unit
+test: lint types layers unit
 
 # The README's picture, from what `make demo` left.
 picture: env
