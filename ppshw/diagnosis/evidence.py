@@ -32,6 +32,7 @@ LEAST_SHARE = 3e-4
 # better explanation: real forms differ from the library's by this share of the evidence or so (a guess, seen to be
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
+ROUNDING = 1e-9  # of a Cholesky factor's diagonal
 CHUNK = 512  # candidates at a time
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
@@ -173,19 +174,25 @@ class Tried:
 
     def _of_one(self, info: Array, scores: Array) -> Array:
         """(C, 3) of each amplitude for scores (C, k), without axes: of the matrix (1 + ΛI, Λ½S; its transpose, c) the
-        Cholesky factor's diagonal has the root of c − SᵀΛ½(1 + ΛI)⁻¹Λ½S last, and the determinant in the rest."""
+        Cholesky factor's diagonal has the root of c − SᵀΛ½(1 + ΛI)⁻¹Λ½S last, and the determinant in the rest, where
+        none is below one: unless rounding has left less than nothing of a candidate, which the axes then tell."""
         count, k = scores.shape
         out = np.empty((count, len(AMPLITUDES)))
         square = np.einsum("ck,ck->c", scores, scores)
-        bordered = np.empty((count, k + 1, k + 1))
+        bordered, doubtful = np.empty((count, k + 1, k + 1)), np.zeros(count, dtype=bool)
         for a, amplitude in enumerate(AMPLITUDES):
             prior = (amplitude * self.repeatability) ** 2 / k
             bordered[:, :k, :k] = prior * info + np.eye(k)
             bordered[:, k, :k] = np.sqrt(prior) * scores
             bordered[:, k, k] = 1.0 + prior * square
-            diagonal = np.diagonal(np.linalg.cholesky(bordered), axis1=1, axis2=2)
+            try:
+                diagonal = np.diagonal(np.linalg.cholesky(bordered), axis1=1, axis2=2)
+            except np.linalg.LinAlgError:
+                return self._of_many(info, scores[..., None])[..., 0]
             explained = 1.0 + prior * square - diagonal[:, k] ** 2
             out[:, a] = 0.5 * explained - np.log(diagonal[:, :k]).sum(axis=1)
+            doubtful |= diagonal.min(axis=1) < 1.0 - ROUNDING
+        out[doubtful] = self._of_many(info[doubtful], scores[doubtful, :, None])[..., 0]
         return out
 
     def scores(self) -> Array:

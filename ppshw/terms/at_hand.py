@@ -27,14 +27,14 @@ from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, bump, compliances
 
 Array = NDArray[np.float64]
-# Functions of the clock alone, and those that need nothing of what went before; all others look back.
-CLOCK = frozenset({"clock", "clock_q", "step", "settling"})
+# Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
+BY_CLOCK_ALONE = frozenset({"clock", "step", "settling"})
+CLOCK = BY_CLOCK_ALONE | {"clock_q"}
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
                      "load_q", "load_turn", "load_power", "load_side", "load_bump", "load_legendre", "load_warm",
                      "own_weight", "hanging", "pair", "product", "body_weight", "sensor_error", "sensor_off",
                      "pulled", "scale", "target_shift", "covariate", "covariate_pair", "unexplained",
                      "instead"})  # fmt: skip
-BY_CLOCK_ALONE = frozenset({"clock", "step", "settling"})  # of which are functions of nothing else
 FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]

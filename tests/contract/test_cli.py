@@ -208,7 +208,8 @@ def test_a_plan_is_listed_with_every_setpoint(desk: Path) -> None:
     assert len(found["plan"]) == 10
 
 
-def test_a_campaign_and_a_machine_that_come_with_it_have_names() -> None:
+def test_campaigns_and_machines_that_come_with_it_have_names() -> None:
+    assert answer("plan", "paper", "--machine", "pps")["visits"] == 669
     assert answer("plan", "quick", "--machine", "arm6")["visits"] == 10
 
 

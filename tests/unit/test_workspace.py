@@ -413,3 +413,19 @@ def test_stiffness_round_a_turn_and_waves_beside_another_position_are_products(s
     wave = Column("frame", "wave_q", {"joint": 2, "period": 0.5, "phase": "sin", "by": 4}, 3, 4)
     scaled = 2 * (q[:, 4] - q[:, 4].min()) / np.ptp(q[:, 4]) - 1
     assert np.allclose(wave.value(c), np.sin(4 * np.pi * q[:, 2]) * scaled)
+
+
+def test_one_score_weighs_what_it_weighs_among_others_also_where_rounding_leaves_less_than_nothing(
+    space: Workspace,
+) -> None:
+    """As of a loud column that was taken up: the last two have a negative axis, the fifth along one of its columns."""
+    tried, rng = Tried(space, nameless(space.context)[:50], 5e-5), np.random.default_rng(4)
+    turn = np.linalg.qr(rng.standard_normal((6, 4, 4)))[0]
+    turn[4] = np.eye(4)
+    lengths = 1e9 * np.tile([1.0, 3.0, 0.2, 2.0], (6, 1))
+    lengths[3:, 3] = 1e9 * np.array([0.0, -0.02, -0.3])  # amplitudes make the last one's determinant negative
+    info = (turn * lengths[:, None]) @ np.swapaxes(turn, 1, 2)
+    scores = 3e4 * rng.standard_normal((6, 4, 1))
+    for some in (slice(0, 5), slice(0, 6)):
+        among = tried._evidence(info[some], np.repeat(scores[some], 2, axis=2))[:, :1]
+        assert np.allclose(tried._evidence(info[some], scores[some]), among, rtol=1e-9, atol=1e-9)
