@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -97,11 +98,11 @@ class Machine:
     def n(self) -> int:
         return len(self.joints)
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(j.name for j in self.joints)
 
-    @property
+    @cached_property
     def frame_names(self) -> tuple[str, ...]:
         """Frames F_0 … F_n: the base, then one per joint (a joint may be called "base" too)."""
         return ("ground" if "base" in self.joint_names else "base", *self.joint_names)

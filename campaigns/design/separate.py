@@ -38,7 +38,7 @@ from ppshw.identification import identify
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import Column, Context, Key
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -213,20 +213,20 @@ def _columns(rich: Context, wanted: Wanted) -> tuple[list[Column], list[_Pair]]:
     if not met:
         raise CampaignError(f"--to-separate: {a} and {b} share no joint{_of(wanted.joint)}")
     columns: list[Column] = []
-    at: dict[str, int] = {}
+    at: dict[Key, int] = {}
     for name in {name for pair in met for name in pair}:
         for k in forms[name]:
             for column in k.columns:
-                if repr(column) not in at:
-                    at[repr(column)] = len(columns)
+                if column.key not in at:
+                    at[column.key] = len(columns)
                     columns.append(column)
     pairs = []
     for one, two in met:
         for of, by in ((one, two), (two, one)):
-            rivals = sorted({at[repr(c)] for k in forms[by] for c in k.columns})
+            rivals = sorted({at[c.key] for k in forms[by] for c in k.columns})
             each = np.zeros((len(forms[of]), len(columns)))
             for row, k in zip(each, forms[of], strict=True):
-                row[[at[repr(c)] for c in k.columns]] = 1.0 / np.sqrt(len(k.columns))
+                row[[at[c.key] for c in k.columns]] = 1.0 / np.sqrt(len(k.columns))
             pairs.append(_Pair(of, by, each, np.array(rivals)))
     return columns, pairs
 

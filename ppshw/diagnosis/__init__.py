@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,14 +118,27 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
-    candidates = library(space.context, without, moments, periods) + nameless(space.context)
-    # so many columns would fit anything that few visits say
-    candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
-    tried = Tried(space, candidates, repeatability, without)
+    with _nothing_thrown_away():
+        candidates = library(space.context, without, moments, periods) + nameless(space.context)
+        # so many columns would fit anything that few visits say
+        candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
+        tried = Tried(space, candidates, repeatability, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)
     return tried, found
+
+
+@contextmanager
+def _nothing_thrown_away() -> Iterator[None]:
+    """Of some 100,000 small objects that are all kept none is worth looking at for garbage, again and again."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def _without(space: Workspace) -> Recording:

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.diagnosis.laid import Key, Laid, key_of, side_by_side
+from ppshw.diagnosis.laid import Laid, side_by_side
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, Key
 
 Array = NDArray[np.float64]
 AMPLITUDES = (1 / 3, 1.0, 3.0)
@@ -68,20 +68,16 @@ class Tried:
         for candidate in candidates:
             found = []
             for column in candidate.columns:
-                at = unique.setdefault(key_of(column), len(unique))
+                at = unique.setdefault(column.key, len(columns))
                 if at == len(columns):
                     columns.append(column)
                 found.append(at)
             index.append(found)
         self.index = [np.array(i) for i in index]
-        sizes = sorted({len(i) for i in index})
-        self._batches = [
-            _Batch(
-                np.array([c for c, i in enumerate(index) if len(i) == k]),
-                np.array([i for i in index if len(i) == k]),
-            )
-            for k in sizes
-        ]
+        of_size: dict[int, list[int]] = {}
+        for c, columns_of in enumerate(index):
+            of_size.setdefault(len(columns_of), []).append(c)
+        self._batches = [_Batch(np.array(of), np.array([index[c] for c in of])) for _, of in sorted(of_size.items())]
         self.log_share = np.log([max(k.share, 1e-300) for k in candidates])
         self.names: list[Name] = list(dict.fromkeys((k.effect, k.joint) for k in candidates))
         position = {n: j for j, n in enumerate(self.names)}
@@ -89,34 +85,35 @@ class Tried:
         self._sorted = np.argsort(self.name_of, kind="stable")
         self._starts = np.searchsorted(self.name_of[self._sorted], np.arange(len(self.names)))
         self._nameless = np.array([effect == "nameless" for effect, _ in self.names])
-        self._crossed: dict[str, Single] = {}
-        self._values: dict[str, tuple[Array, Array, Array]] = {}
+        self._crossed: dict[Key, Single] = {}
+        self._values: dict[Key, tuple[Array, Array, Array]] = {}
         self.laid = Laid(space, columns)
         self.scale = self.laid.scale
         self.seen = self.laid.seen()
         # what the base model takes whole leaves nothing but the stiffness of its prior, which is no evidence
         visible = self.seen > LEAST_SHARE * np.maximum(self.laid.plain, 1e-30)
-        self.log_share = np.where([visible[i].any() for i in self.index], self.log_share, -np.inf)
+        for batch in self._batches:
+            self.log_share[batch.which[~visible[batch.columns].any(axis=1)]] = -np.inf
         self._info0 = [
-            self.laid.information(batch.columns) if k > 1 else self.seen[batch.columns][:, :, None]
-            for k, batch in zip(sizes, self._batches, strict=True)
+            self.laid.information(batch.columns) if batch.columns.shape[1] > 1 else self.seen[batch.columns][:, :, None]
+            for batch in self._batches
         ]
         self._plain_scores = self.laid.product(space.absorb(space.y[:, None]))[:, 0]
         self.update()
 
-    def update(self, taken: Sequence[str] = ()) -> None:
+    def update(self, taken: Sequence[Key] = ()) -> None:
         """Account for what the workspace has taken up now.
 
-        taken  the columns' names, where a search comes back to them: what is known of a column is not worked out again
+        taken  the columns' keys, where a search comes back to them: what is known of a column is not worked out again
         """
         space = self.space
         if not taken:
             self._cross = self.laid.product(space.absorbed)  # (K, f)
         else:
-            new = [k for k, name in enumerate(taken) if name not in self._crossed]
+            new = [k for k, key in enumerate(taken) if key not in self._crossed]
             for k, product in zip(new, self.laid.product(space.absorbed[:, new]).T, strict=True):
                 self._crossed[taken[k]] = product.astype(np.float32)
-            self._cross = np.stack([self._crossed[name] for name in taken], axis=1).astype(float)
+            self._cross = np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
         self._info = []
         for batch, info in zip(self._batches, self._info0, strict=True):
             w = self._cross[batch.columns]  # (C, k, f)
@@ -125,7 +122,7 @@ class Tried:
     def value(self, column: Column) -> tuple[Array, Array, Array]:
         """What a column does to the reflectors per unit, worked out once: (N, 3T) in metres; whitened, and that less
         what the base model takes of it, (F·3T,) each."""
-        key = repr(column)
+        key = column.key
         if key not in self._values:
             raw = column.evaluate(self.space.context)
             white = self.space.whiten(raw[..., None])

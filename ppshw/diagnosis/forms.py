@@ -27,8 +27,8 @@ def near_forms(c: Context, candidate: Candidate, without: frozenset[str] = froze
     maker = _MAKERS.get(candidate.effect)
     if maker is None:
         return ()
-    have = set(map(repr, candidate.columns))
-    return tuple(k for k in maker(c, candidate) if repr(k) not in have and _class(k) not in without)
+    have = {k.key for k in candidate.columns}
+    return tuple(k for k in maker(c, candidate) if k.key not in have and _class(k) not in without)
 
 
 def _class(column: Column) -> str | None:

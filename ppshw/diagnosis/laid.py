@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import Column, Context, What
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Single = NDArray[np.float32]
-Key = tuple[str, str, tuple[tuple[str, object], ...], int, int]
 BLOCK = 512  # columns at a time in double precision
 MOST_THREADS = 4  # each holds a part of its own
 NOWHERE = -1
@@ -58,7 +57,7 @@ class Laid:
         self._fields = np.empty((len(elsewhere), fit * rows), dtype=np.float32)
         jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))  # (n+1, 6, N, 3T)
         readings = max(int(space.recording.seen.sum()), 1)
-        known: dict[str, Array] = {}
+        known: dict[What, Array] = {}
         self._white: list[Array] = []  # (F, 3T) of every group
         self._spans: list[slice] = []
         at = 0
@@ -189,14 +188,9 @@ def side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
         list(threads.map(work, parts))
 
 
-def _value(column: Column, context: Context, known: dict[str, Array]) -> Array:
+def _value(column: Column, context: Context, known: dict[What, Array]) -> Array:
     """A column's function (N,), worked out once for all places that it acts at."""
-    key = repr((column.function, column.args))
-    if key not in known:
-        known[key] = column.value(context)
-    return known[key]
-
-
-def key_of(column: Column) -> Key:
-    """What tells a column from another: columns hold dictionaries, which do not hash."""
-    return column.on, column.function, tuple(sorted(column.args.items())), column.frame, column.component
+    what = column.what
+    if what not in known:
+        known[what] = column.value(context)
+    return known[what]

@@ -233,7 +233,8 @@ def loads_on(c: Context, frame: int) -> list[int]:
 def _elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
     for k, joint in enumerate(c.machine.joints):
         if joint.elastic is not None:
-            yield k + 1, joint.name, [b for b in joint.elastic.load_indices if b in loads_on(c, k + 1)]
+            known = joint.elastic.load_indices
+            yield k + 1, joint.name, [b for b in loads_on(c, k + 1) if b in known]
 
 
 def _nonlinear(c: Context) -> Iterator[Candidate]:

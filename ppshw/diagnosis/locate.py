@@ -190,42 +190,47 @@ class Scores:
         return np.asarray(score.reshape(len(score), -1).T @ basis)
 
     def map(self) -> Map:
-        own, pooled = self._sizes(1), self._sizes(0)
+        own, pooled = self._sizes()
         return _standardised(tuple(self.channels), tuple(self.covariates), own, pooled)
 
-    def _sizes(self, first: int) -> Array:
-        """(D+1, R, C) squared strength; units are the variances over rows from `first` on: 1, the replicas alone, for
-        people to read; 0, the recording among them, exchangeable, for significance."""
+    def _sizes(self) -> Array:
+        """(2, D+1, R, C) squared strength. Units are variances: first over the replicas alone, for people to read; then
+        with the recording among them, exchangeable, for significance."""
         parts = np.concatenate(self._parts).astype(float)  # (D+1, C, B)
         rows, waves = [], iter(zip(self._waves, self._wave_parts, strict=True))
         at = 0
         for k in self.covariates:
             if k.kind == "waves":
                 (basis, mine), part = next(waves)
-                whole = np.full((len(parts), len(self.channels)), np.nan)
-                whole[:, mine] = self._waving(np.concatenate(part).astype(float), basis, mine, first)
+                whole = np.full((2, len(parts), len(self.channels)), np.nan)
+                whole[:, :, mine] = self._waving(np.concatenate(part).astype(float), basis, mine)
                 rows.append(whole)
             else:
                 size = k.functions.shape[1]
                 plain = (k.functions**2).T @ self._square
-                rows.append(_size(parts[:, :, at : at + size], plain.T, first).sum(axis=2))
+                square, units = _squares(parts[:, :, at : at + size], plain.T)
+                rows.append(np.einsum("dcb,ucb->udc", square, units, optimize=True))
                 at += size
-        size = np.stack(rows, axis=1)  # (D+1, R, C)
+        size = np.stack(rows, axis=2)  # (2, D+1, R, C)
         return np.where(size > 0, size, np.nan)
 
-    def _waving(self, part: Array, basis: Single, mine: list[int], first: int) -> Array:
-        """The strongest wave of each channel: (D+1, C')."""
+    def _waving(self, part: Array, basis: Single, mine: list[int]) -> Array:
+        """The strongest wave of each channel: (2, D+1, C')."""
         plain = ((basis**2).T @ self._square[:, mine]).T
-        size = _size(part, plain, first)
-        half = size.shape[2] // 2
-        return np.asarray((size[:, :, :half] + size[:, :, half:]).max(axis=2))
+        square, units = _squares(part, plain)
+        half = square.shape[2] // 2
+        waves = (square * unit for unit in units)
+        return np.array([(both[:, :, :half] + both[:, :, half:]).max(axis=2) for both in waves])
 
 
-def _size(part: Array, plain: Array, first: int) -> Array:
-    """S² in units of its variance, 0 where the fit leaves nothing of the function."""
-    variance = (part[first:] ** 2).mean(axis=0)
-    seen = ((part[1:] ** 2).mean(axis=0) > LEAST_SHARE * plain) & (plain > 1e-12)
-    return np.asarray(part**2 * np.where(seen, 1.0 / np.maximum(variance, 1e-300), 0.0))
+def _squares(part: Array, plain: Array) -> tuple[Array, Array]:
+    """S² (D+1, C, B), and what it is multiplied by, (2, C, B), to be in units of its variance over the replicas, and
+    over all; 0 where the fit leaves nothing of the function."""
+    square = part**2
+    replicas = square[1:].mean(axis=0)
+    every = replicas + (square[0] - replicas) / len(square)
+    seen = (replicas > LEAST_SHARE * plain) & (plain > 1e-12)
+    return square, np.array([np.where(seen, 1.0 / np.maximum(v, 1e-300), 0.0) for v in (replicas, every)])
 
 
 def _standardised(names: tuple[Channel, ...], rows: tuple[Covariate, ...], by_own: Array, by_all: Array) -> Map:

@@ -369,7 +369,7 @@ def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool =
             _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
     _lay(space, tried, found)
     if and_look:
-        tried.update([repr(c) for f in found for c in (*tried.candidates[f.best].columns, *f.near)])
+        tried.update([c.key for f in found for c in (*tried.candidates[f.best].columns, *f.near)])
 
 
 def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
@@ -379,7 +379,7 @@ def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> N
     _lay(space, tried, [*others, f])
     f.size = coefficients(space, candidate, f)[2]
     near = (*near_forms(space.context, candidate, tried.without), *f.more)
-    f.near = tuple({repr(c): c for c in near}.values())
+    f.near = tuple({c.key: c for c in near}.values())
 
 
 def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:

@@ -136,7 +136,7 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     freed = np.sqrt(more_free)[:, None] * laid.turn / np.sqrt(1.0 + laid.lengths)
     held = freed * np.sqrt(laid.lengths)  # B⁻¹ = 1 − W s² (1 + s²)⁻¹ Wᵀ, whatever W leaves out has s = 0
     inner = np.diag(1.0 + more_free) - held @ held.T
-    regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T
+    regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T.astype(np.float32)
     seen, more = np.empty(len(tried.candidates)), np.empty((len(tried.candidates), 2))
     for batch, info in zip(tried._batches, tried._info0, strict=True):
         seen[batch.which] = info.sum(axis=(1, 2))
@@ -144,7 +144,7 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
             part = slice(at, at + CHUNK)
             taken = laid.taken[batch.columns[part]].sum(axis=1)
             more[batch.which[part], 0] = (taken**2).sum(axis=1)
-            more[batch.which[part], 1] = ((taken @ regained) ** 2).sum(axis=1)
+            more[batch.which[part], 1] = ((taken.astype(np.float32) @ regained) ** 2).sum(axis=1)
     plain = np.maximum(seen + more[:, 0], 1e-30)
     shares = (seen + more[:, 1]) / plain
     # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a

@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 LEAST_H = 1e-4  # between two visits
 QUANTILES = 41  # that the ranks of a column are kept by
 FunctionOfVisits = Callable[..., Array]
+What = tuple[str, tuple[tuple[str, object], ...]]
+Key = tuple[str, What, int, int]
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,11 @@ class Context:
 
     def legendre(self, joint: int, power: int) -> Array:
         """Legendre polynomial of a joint's position, −1 … 1 over what was sampled."""
-        polynomial = np.polynomial.Legendre.basis(power)
-        return self.once(("legendre", joint, power), lambda: np.asarray(polynomial(self.u(joint)), dtype=float))
+
+        def make() -> Array:
+            return np.asarray(np.polynomial.Legendre.basis(power)(self.u(joint)), dtype=float)
+
+        return self.once(("legendre", joint, power), make)
 
 
 def compliances(model: Model, theta: Array, situation: Situation) -> Array:
@@ -138,6 +143,16 @@ class Column:
     args: dict[str, Any] = field(default_factory=dict)
     frame: int = 0
     component: int = 0
+
+    @property
+    def what(self) -> What:
+        """What tells its function from another: arguments stand in a dictionary, which does not hash."""
+        return self.function, tuple(sorted(self.args.items()))
+
+    @property
+    def key(self) -> Key:
+        """What tells it from another column."""
+        return self.on, self.what, self.frame, self.component
 
     def value(self, c: Context) -> Array:
         """The function alone: (N,) on a frame, (N, n+1, 6) on frames, (N, T, 3) on points."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.laid import Laid, key_of
+from ppshw.diagnosis.laid import Laid
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
@@ -63,5 +63,5 @@ def test_scores_of_noise_scatter_by_the_information(space: Workspace, whole: np.
 
 
 def test_columns_are_told_apart_by_all_they_are_made_of() -> None:
-    assert len({key_of(column) for column in COLUMNS}) == len(COLUMNS)
-    assert key_of(COLUMNS[0]) == key_of(Column("frame", "wave", dict(reversed(COLUMNS[0].args.items())), 1, 0))
+    assert len({column.key for column in COLUMNS}) == len(COLUMNS)
+    assert COLUMNS[0].key == Column("frame", "wave", dict(reversed(COLUMNS[0].args.items())), 1, 0).key

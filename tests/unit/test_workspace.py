@@ -361,7 +361,7 @@ def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_
     values = np.stack([k.evaluate(tried.space.context) for k in taken], axis=2)
     space.take_up(values, np.full(len(taken), 1e-4))
     for _ in range(2):  # the second time nothing is worked out again
-        tried.update([repr(k) for k in taken])
+        tried.update([k.key for k in taken])
     evidence = tried.evidence(tried.scores()[None])
     tried.update()
     afresh = tried.evidence(tried.scores()[None])
