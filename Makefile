@@ -15,10 +15,11 @@ test: lint types layers unit
 picture: env
 	$(BIN)/python docs/img/demo_picture.py demo-out docs/img/demo.png
 
+# Modules are compiled as they are first imported: most of what is installed never is.
 env: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[test]'
 	touch $@
 
 lint: env

@@ -145,27 +145,23 @@ def foresee(plan: Plan, most: int = 12) -> Foresight:
     """Lay the library over a plan. most: forms of each name that are tried."""
     recording = would_be(plan)
     space = laid_out(typical_of(plan.machine, recording, _point(plan.machine)), recording)
-    found = foreseen(space, stated(space), most)
+    found = foreseen(space, most)
     if not any(entry["blind"] for entry in found.rows):
         return found
     best = anything(plan)
     space = laid_out(typical_of(plan.machine, best, _point(plan.machine)), best)
-    never = [(e["effect"], e["joint"]) for e in foreseen(space, stated(space), most).rows if e["blind"]]
+    never = [(e["effect"], e["joint"]) for e in foreseen(space, most).rows if e["blind"]]
     return replace(found, never=frozenset(never))
 
 
-def foreseen(space: Workspace, unit: float, most: int = 12) -> Foresight:
-    """The same of a workspace: a recording's, or a would-be one's. unit: repeatability at the reflectors [m]."""
+def foreseen(space: Workspace, most: int = 12) -> Foresight:
+    """The same of a workspace: a recording's, or a would-be one's."""
     candidates, weights = thinned(library(space.context), most)
-    tried = Tried(space, candidates, stated(space))
+    unit = space.base.noise.repeatability
+    tried = Tried(space, candidates, unit)
     found = tuple(sights(tried, weights))
     absent = tuple(name for name in _expected(space.machine) if name not in {sight.name for sight in found})
     return Foresight(space, tried, found, absent, unit)
-
-
-def stated(space: Workspace) -> float:
-    """rms of a reading by pose repeatability alone [m]."""
-    return float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
 
 
 def would_be(plan: Plan) -> Recording:

@@ -69,7 +69,7 @@ class AutomaticOperator:
 
 
 class ConsoleOperator:
-    """Asks on `out`, reads lines from `lines`. One letter and Enter while a campaign runs: p, s, r, a."""
+    """Asks on `out`, reads lines from `lines`. One letter and Enter while a campaign runs: p (then g), s, r, a."""
 
     def __init__(self, lines: TextIO | None = None, out: TextIO | None = None) -> None:
         self._lines = lines or sys.stdin

@@ -74,11 +74,6 @@ def point_positions(machine: Machine, q: Array, points: Array, errors: Array | N
     return np.asarray(np.einsum("nij,pj->npi", tip[:, :3, :3], points) + tip[:, None, :3, 3])
 
 
-def target_positions(machine: Machine, q: Array, errors: Array | None = None) -> Array:
-    """The machine's reflectors in the base frame: (N, T, 3) [m]."""
-    return point_positions(machine, q, machine.target_array, errors)
-
-
 def point_jacobian(chain: Array, positions: Array, errors: Array | None = None) -> Array:
     """How points on the end effector move per generalized error, exact at the given errors.
 

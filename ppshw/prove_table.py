@@ -34,7 +34,6 @@ def summarise(scores: Sequence[Json]) -> Json:
         "effects": _by_effect(scores),
         "strengths": _by_strength(scores),
         "half_power": half_power(*points(scores)),
-        "half_power_projected": half_power(*points(scores, "sqrt_lambda_free")),
         "weights": _reliability(scores),
         "seconds": {
             "median": _median([s["seconds"] for s in scores]),

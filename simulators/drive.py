@@ -127,9 +127,6 @@ class SimulatedDrive(CanopenNode):
         """Electronics hang: nothing more is heard from the node. A motion that has begun goes on."""
         self.leave_bus()
 
-    def speak_again(self) -> None:
-        self.join_bus()
-
     def unplug(self) -> None:
         """Power off: the motor stops where it is (brake)."""
         with self.lock:

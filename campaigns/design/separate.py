@@ -138,7 +138,7 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
         found = identify(machine, recording)
         belief = learnt(found.model.machine, len(recording), found.groups, found.noise, recording.source)
         cases = list(loads_for(machine, point, None, None)[1])
-    unit = float(np.sqrt(np.trace(belief.noise.pose[:3, :3])))
+    unit = belief.noise.repeatability
     return recording, belief, [empty, *(c for c in cases if c.mass > 0)], unit
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -117,28 +115,14 @@ def _look(
     """before: what an earlier look found, whose moments and periods are tried more finely."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
-    repeatability = float(np.sqrt(np.trace(space.base.noise.pose[:3, :3])))
-    with _nothing_thrown_away():
-        candidates = library(space.context, without, moments, periods) + nameless(space.context)
-        # so many columns would fit anything that few visits say
-        candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
-        tried = Tried(space, candidates, repeatability, without)
+    candidates = library(space.context, without, moments, periods) + nameless(space.context)
+    # so many columns would fit anything that few visits say
+    candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
+    tried = Tried(space, candidates, space.base.noise.repeatability, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)
     return tried, found
-
-
-@contextmanager
-def _nothing_thrown_away() -> Iterator[None]:
-    """Of some 100,000 small objects that are all kept none is worth looking at for garbage, again and again."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def _without(space: Workspace) -> Recording:
@@ -153,7 +137,7 @@ def _answer(
 ) -> tuple[dict[str, Any], Carried]:
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = [m.finding() for m in mistakes] + gross.findings(space)
+    findings = [m.finding() for m in mistakes] + gross.findings()
     findings += [finding(space, tried, f) for f in _merged(named)]
     if scatter is not None:
         findings.append(scatter)
@@ -167,7 +151,7 @@ def _answer(
         "verdict": "unexplained" if unexplained is not None else "missing_physics" if findings else "consistent",
         "findings": findings,
         "unexplained": unexplained,
-        "visibility": visibility(space, tried),
+        "visibility": visibility(tried),
         "corrections": carried.corrections,
         "held_out": {"rms_before_mm": carried.before, "rms_after_mm": carried.after},
     }

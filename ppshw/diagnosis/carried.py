@@ -57,7 +57,7 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     kept = np.zeros(taken.shape[2], dtype=bool)  # columns that a calibration carries
     for f in found:
         f.carried = tried.candidates[f.best].effect != "nameless"
-        kept[_columns_of(f, tried)] = f.carried
+        kept[f.columns(tried.candidates[f.best])] = f.carried
     before, after = held_out(space, taken[:, :, kept & False], prior[kept & False]), np.inf
     after = held_out(space, taken[:, :, kept], prior[kept]) if kept.any() else before
     beside = np.ones(taken.shape[2], dtype=bool)  # columns that stay in the fit
@@ -87,13 +87,9 @@ def _with(columns: Array, prior: Array, more: Array) -> tuple[Array, Array]:
     return np.concatenate([columns, more], axis=2), np.concatenate([prior, np.ones(more.shape[2])])
 
 
-def _columns_of(f: Found, tried: Tried) -> slice:
-    return slice(f.at, f.at + len(tried.candidates[f.best].columns) + len(f.near))
-
-
 def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
     """Nameless findings, and what has no name beside the form of a named one; nothing that is a matter of time."""
-    size = max((_columns_of(f, tried).stop for f in found), default=0)
+    size = max((f.columns(tried.candidates[f.best]).stop for f in found), default=0)
     out: dict[tuple[str, ...], _Left] = {}
 
     def add(f: Found, names: tuple[str, ...], which: slice | int) -> None:
@@ -105,7 +101,7 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
         if candidate.effect == "nameless":
             if not candidate.covariates:
                 continue  # nothing to be a function of
-            add(f, candidate.covariates, _columns_of(f, tried))
+            add(f, candidate.covariates, f.columns(tried.candidates[f.best]))
             continue
         for k, column in enumerate(f.near, start=f.at + len(candidate.columns)):
             if names := _smooth_over(column):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.laid import Laid, side_by_side
-from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library import Candidate, all_kept
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column, Key
 
@@ -54,6 +54,7 @@ class Tried:
     without      effects that were left out of the candidates
     """
 
+    @all_kept()
     def __init__(
         self, space: Workspace, candidates: Sequence[Candidate], repeatability: float,
         without: frozenset[str] = frozenset(),

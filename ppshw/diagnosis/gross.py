@@ -41,7 +41,7 @@ class GrossErrors:
     size: float = 0.0
     p: float = 1.0
 
-    def findings(self, space: Workspace) -> list[dict[str, Any]]:
+    def findings(self) -> list[dict[str, Any]]:
         if not self.visits:
             return []
         listed = ", ".join(str(v + 1) for v in self.visits[:12]) + (" …" if len(self.visits) > 12 else "")

@@ -8,7 +8,7 @@ lengths s² (R⁻½ in X and Z), and G = (1 + s²)⁻½ Aᵀ Z,
     Zᵀ V⁻¹ Z = Zᵀ Z − Gᵀ G                         V as in `workspace`; docs/diagnosis.md §2
 
 which is worked out in double precision, as the base model may take nearly all of a column. Functions themselves are
-kept in single precision: some 35,000 of them.
+kept in single precision.
 """
 
 from __future__ import annotations

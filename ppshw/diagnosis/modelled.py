@@ -67,7 +67,7 @@ def _left_out(space: Workspace, pair: Pair) -> bool:
 def _fitted_without(space: Workspace, left_out: list[Pair]) -> Workspace:
     taken = space.taken.copy()
     for f, candidate in left_out:
-        taken[:, :, f.at : f.at + len(candidate.columns) + len(f.near)] = 0.0
+        taken[:, :, f.columns(candidate)] = 0.0
     space = copy(space)
     space.take_up(taken, space.taken_prior)
     return space

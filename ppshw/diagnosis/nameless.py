@@ -1,7 +1,8 @@
 """Rivals without a name: what any smooth function of the columns and their history would explain.
 
-The tip, the base or a joint in its own direction moves as a smooth function of one column, the tip as one of two; tip
-and base as the product of any two. A test that does not know the catalogue: what it finds is located by its columns.
+Any smooth function of columns, of their history, of loads and of time, at the frames that may move by it; what the
+force sensor, the reflectors and the instrument may do. A test that does not know the catalogue: what it finds is
+located by its columns. docs/diagnosis.md §1, step 3.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from ppshw.diagnosis.library import (
     FINELY_TWO,
     MOMENTS,
     Candidate,
+    all_kept,
     loads_on,
     moments_between,
     moving_joints,
@@ -31,7 +33,7 @@ from ppshw.terms.shapes import Column, Context, named_column
 Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
-# Half waves in time that nobody names: down to half an hour in a campaign of ten; in a joint's own place a third of it.
+# Half waves in time that nobody names: down to half an hour in a campaign of ten; down to a third of an hour.
 RHYTHMS, QUICKER = 36, 64
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
@@ -41,6 +43,7 @@ IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
 KNOTS = 5  # bumps over the ranks of a column
 
 
+@all_kept()
 def nameless(c: Context) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind; shares add up to one."""
     makers = (
@@ -250,8 +253,8 @@ def _most_alike(c: Context, values: Array) -> tuple[str, ...]:
 
 
 def _of_what_was_read(c: Context) -> Iterator[Candidate]:
-    """What hangs there is other than the sensor said, by something that goes with a temperature, however late, or by a
-    smooth function of a position or of what the sensor read besides."""
+    """What hangs there is other than the sensor said, by something that goes with a temperature, up to two hours late,
+    or by a smooth function of a position or of what the sensor read besides."""
     if not c.recording.has_wrench:
         return
     for place, component in itertools.product(temperature_places(c), range(6)):
@@ -295,8 +298,8 @@ def _own_heat(c: Context) -> Iterator[Candidate]:
 
 
 def _with_another_position(c: Context) -> Iterator[Candidate]:
-    """What a link does with a temperature, however late, with time, from the side that its joint came from, or under
-    its load, goes in proportion to another joint's position."""
+    """What a link does with a temperature, as it is or an hour late, with time, from the side that its joint came from,
+    or under its load, goes in proportion to another joint's position."""
     warm = [f"temp_{place}_C" for place in temperature_places(c)]
     anywhere = [*warm, *(f"late_1_{name}" for name in warm), "time"]
     for (k, name), (_, other) in itertools.permutations(moving_joints(c), 2):

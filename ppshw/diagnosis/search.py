@@ -4,7 +4,7 @@ again beside the others."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int], None]
 # What counts as significant, family-wise: the first finding, and any beside it.
 FIRST, FURTHER = 0.05, 0.02
 MOST_FINDINGS = 5
@@ -57,7 +56,8 @@ AT_ONCE = 0.02  # of the recording's duration: moments that are one
 LOADS = frozenset({
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
 })  # fmt: skip
-# Other names to begin with: so many effects, each at least so loud as the best; another start wins by so much.
+# Other names to begin with: so many effects, each with at least such a share of the best's log evidence, and structure
+# without a name; another start wins by so much.
 STARTS, LOUD, ANOTHER_START = 3, 0.25, 3.0
 FEWER = 2  # findings less: then nothing counts against those without a name
 FREE = 6  # columns of a form that may stand for two effects: a base that wanders in all directions
@@ -84,8 +84,12 @@ class Found:
     carried: bool = True
     was: int | None = None
 
+    def columns(self, candidate: Candidate) -> slice:
+        """Where its columns are in the workspace, near forms among them; candidate: its best."""
+        return slice(self.at, self.at + len(candidate.columns) + len(self.near))
 
-def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: Progress | None = None) -> list[Found]:
+
+def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Found]:
     """Findings in the order of their strength; the workspace has their columns taken up at its end.
 
     Where several effects act, what explains most at first may be a compromise between them. So when one finding was not
@@ -93,7 +97,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
     and the findings that explain the recording best count.
     """
     starts = _starts(tried)
-    found = _greedy(space, tried, None, rng, progress)
+    found = _greedy(space, tried, None, rng)
     named = any(f.name[0] != "nameless" for f in found)
     several = len(found) > 1 or any(f.more or len(tried.candidates[f.best].columns) >= FREE for f in found)
     if named and several:
@@ -112,7 +116,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, progress: P
         if chosen is None:
             take_up(space, tried, found)
         else:
-            found = _greedy(space, tried, chosen, rng, progress)
+            found = _greedy(space, tried, chosen, rng)
     _give_up(space, tried, found)
     _weigh(space, tried, found)
     return found
@@ -211,7 +215,6 @@ def _greedy(
     tried: Tried,
     start: tuple[int, float] | None,
     rng: np.random.Generator | None,
-    progress: Progress | None = None,
 ) -> list[Found]:
     """Findings one after the other while anything stands out.
 
@@ -220,9 +223,7 @@ def _greedy(
     """
     found: list[Found] = []
     take_up(space, tried, found)
-    for turn in range(MOST_FINDINGS):
-        if progress:
-            progress(turn, MOST_FINDINGS + 1)
+    for _ in range(MOST_FINDINGS):
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
@@ -341,16 +342,15 @@ def _names(tried: Tried) -> tuple[Array, Array]:
 def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array, float]:
     """Coefficients of the finding's own form, their standard deviations, and the rms of all its forms [m]."""
     _, values = space.coefficients()
-    main, every = len(candidate.columns), len(candidate.columns) + len(found.near)
-    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[found.at : found.at + main]
-    whole = space.taken[:, :, found.at : found.at + every] @ values[found.at : found.at + every]
-    return values[found.at : found.at + main], std, _rms(space, whole)
+    main, every = slice(found.at, found.at + len(candidate.columns)), found.columns(candidate)
+    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[main]
+    return values[main], std, _rms(space, space.taken[:, :, every] @ values[every])
 
 
 def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:
     """All columns of a finding, near forms among them, with values and standard deviations."""
     _, values = space.coefficients()
-    here = slice(found.at, found.at + len(candidate.columns) + len(found.near))
+    here = found.columns(candidate)
     std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))
     return (*candidate.columns, *found.near), values[here], std[here]
 

@@ -23,12 +23,12 @@ from scipy.special import logsumexp
 from ppshw.diagnosis.evidence import CHUNK, LEAST_SHARE, Name, Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import FIRST, LEAST_FIRST
-from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
 # Nine draws of ten of a standard normal are above −1.28.
 NINE_OF_TEN = 1.28
-# Draws of the noise that say which evidence chance alone reaches; their 97th percentile is good to a third of a unit.
+# Draws of the noise that say which evidence chance alone reaches; what 1 − FIRST of them stay under is good to a third
+# of a unit.
 NOISE_DRAWS = 199
 # Scores at which a name's evidence is looked at, on both sides of where it becomes enough.
 LOOKED_AT = (4.0, 6.0)
@@ -63,7 +63,7 @@ class Sight:
     visible: bool = True
 
 
-def visibility(space: Workspace, tried: Tried) -> list[dict[str, Any]]:
+def visibility(tried: Tried) -> list[dict[str, Any]]:
     """One row per effect and joint (contract §4), of the form of middling visibility; `share_range` and
     `detectable_range_mm`: what four fifths of its forms, weighed by their shares, lie within."""
     return [row(sight) for sight in sights(tried)]

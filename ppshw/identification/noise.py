@@ -27,6 +27,11 @@ class Noise:
     instrument: float
     joints: Array | None = None
 
+    @property
+    def repeatability(self) -> float:
+        """rms of a reading by pose repeatability alone [m]."""
+        return float(np.sqrt(np.trace(self.pose[:3, :3])))
+
     def covariance(self, levers: Array, seen: Mask, weights: Array) -> Array:
         """Covariance of one visit's coordinates, for every visit.
 

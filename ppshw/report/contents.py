@@ -19,7 +19,7 @@ from ppshw.recording import Recording, load_recording
 from ppshw.recording_file import RecordingFile, is_sqlite
 
 MACHINE, CALIBRATION = "machine.yaml", "calibration.json"
-RESULTS = ("demo.json", "result.json")
+RESULT = "demo.json"
 DIAGNOSIS = "diagnosis.json"
 RECORDINGS = {
     "campaign": "the residual of the identification recording and the coverage of the joints",
@@ -86,7 +86,7 @@ def read_folder(folder: Path) -> Contents:
             sources.append(_recording_source(path, recordings[stem]))
     result, result_name = _result(folder, sources)
     if calibration is None and not recordings and not result:
-        names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), *RESULTS])
+        names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), RESULT])
         raise ReportError(f"{folder}: nothing to report on beside {MACHINE}, expected any of {names}")
     point = _point(machine, recordings)
     return Contents(
@@ -137,8 +137,8 @@ def _recording_source(path: Path, recording: Recording) -> Source:
 
 
 def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
-    path = next((folder / name for name in RESULTS if (folder / name).is_file()), None)
-    if path is None:
+    path = folder / RESULT
+    if not path.is_file():
         return {}, ""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

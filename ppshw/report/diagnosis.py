@@ -27,7 +27,6 @@ from ppshw.terms.shapes import Context, named_column
 from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
-NAME = "diagnosis.html"
 VERDICTS = {
     "consistent": "The model describes this recording: nothing is missing beyond noise.",
     "missing_physics": "The model leaves something out, and what it is has names.",
@@ -147,14 +146,10 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
     return out
 
 
-def _slice(f: Found, candidate: Candidate) -> slice:
-    return slice(f.at, f.at + len(candidate.columns) + len(f.near))
-
-
 def _displaced(space: Workspace, f: Found, candidate: Candidate) -> Array:
     """(N, 3T) what a finding does to the targets [m]."""
     _, values = space.coefficients()
-    mine = _slice(f, candidate)
+    mine = f.columns(candidate)
     return np.asarray(space.taken[:, :, mine] @ values[mine])
 
 
@@ -162,7 +157,7 @@ def _rms(space: Workspace, f: Found | None = None, candidate: Candidate | None =
     """rms of readings of the fit visits [mm]; with a finding given, as it is when all but that one are fitted."""
     if f is not None and candidate is not None:
         keep = np.ones(len(space.taken_prior), dtype=bool)
-        keep[_slice(f, candidate)] = False
+        keep[f.columns(candidate)] = False
         space = copy(space)
         space.take_up(space.taken[:, :, keep], space.taken_prior[keep])
     left = space.residual()[space.fit].reshape(-1, 3)
@@ -187,7 +182,7 @@ def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:
         try:
             return np.asarray(named_column(c, name), dtype=float), name
         except (KeyError, ValueError):
-            continue  # not every covariate of a finding is a column: a reflector, a tilt within the machine
+            continue  # not every covariate of a finding is a column: a reflector
     return np.asarray(c.hours), "time"
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
-from ppshw.diagnosis.locate import Channel, Covariate, Map, bounded, gradients
+from ppshw.diagnosis.checks import ODD
+from ppshw.diagnosis.locate import CYCLES, Channel, Covariate, Map, bounded, gradients
 from ppshw.diagnosis.replicas import Compared
 from ppshw.report.picture import AFTER, FAINT, INK, MARK, Picture, canvas
 from ppshw.terms import COMPONENTS
@@ -185,8 +186,6 @@ def _means(values: Array, weights: Array, groups: NDArray[np.int64], count: int)
 
 def _folded(reading: Reading, name: str, c: Context, units: dict[str, str]) -> Picture:
     """Over the phase of the strongest period: that is a choice of many, so it looks like something even in noise."""
-    from ppshw.diagnosis.locate import CYCLES
-
     q = np.asarray(named_column(c, name))
     known = np.isfinite(reading.values)
     turn = 2 * np.pi * np.outer(CYCLES, (q - q.min()) / np.ptp(q))[:, known]
@@ -244,7 +243,7 @@ def checks_picture(before: list[dict[str, object]], after: list[dict[str, object
         ax.invert_yaxis()
         ax.set(xlim=(-4.2, 8.2), xlabel="observed, 1 = edge of the middle 95 % (4 and 8: and beyond)")
         c.figure.legend(loc="outside upper center", ncols=3, handletextpad=0.3, columnspacing=1.0)
-        odd = sum(float(str(k["p"])) <= 0.005 for k in before), sum(float(str(k["p"])) <= 0.005 for k in after)
+        odd = sum(float(str(k["p"])) <= ODD for k in before), sum(float(str(k["p"])) <= ODD for k in after)
         alt = f"{len(names)} checks; {odd[0]} fail before what was found is modelled, {odd[1]} after."
         return c.picture("The recording against its twin", alt)
 

@@ -1,7 +1,7 @@
 """The functions of covariates and history that effects are made of, by name, so that a calibration can carry them.
 
 A column says where it acts and how: on one component of one frame times a function (N,) of the visits; on all frames at
-once (N, n+1, 6); or on the measured points themselves (N, T, 3). docs/diagnosis.md §3 lists the functions.
+once (N, n+1, 6); or on the measured points themselves (N, T, 3). `FUNCTIONS` lists them.
 """
 
 from __future__ import annotations
@@ -403,7 +403,7 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
 
 def _standard(c: Context, name: str) -> tuple[Array, Array]:
     """(N,) a column less its mean, and in units of its spread; 0 where it does not vary."""
-    values = c.recording.covariates[name] if name in c.recording.covariates else named_column(c, name)
+    values = named_column(c, name)
     middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
     values = np.nan_to_num(values - middle)
     spread = c.frozen(f"spread of {name}", float(values.std()))

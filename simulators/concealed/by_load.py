@@ -32,7 +32,7 @@ def nonlinear_stiffness(scene: Scene, rng: np.random.Generator) -> Concealed:
     name = scene.chain.joints[k].name
     return Concealed(
         scene, "nonlinear_stiffness", form, name, COMPONENTS[part], (LOADS[part],),
-        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * _one(part))),
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * np.eye(6)[part])),
         lambda size: {"departure": size, "exponent": exponent},
     )  # fmt: skip
 
@@ -66,7 +66,7 @@ def clearance(scene: Scene, rng: np.random.Generator) -> Concealed:
     name = scene.chain.joints[k].name
     return Concealed(
         scene, "clearance", form, name, COMPONENTS[part], (LOADS[part],),
-        lambda s, size: Change(eps=s.eps(k, size / 2 * side(s)[:, None] * _one(part))),
+        lambda s, size: Change(eps=s.eps(k, size / 2 * side(s)[:, None] * np.eye(6)[part])),
         lambda size: {"play": size, "width": width},
     )  # fmt: skip
 
@@ -113,7 +113,7 @@ def moving_weight(scene: Scene, rng: np.random.Generator) -> Concealed:
     moved = [chain.joints[j].name for j in range(k, len(chain.joints)) if np.ptp(scene.q[:, j]) > 0]
     return Concealed(
         scene, "moving_weight", form, chain.joints[k].name, COMPONENTS[part], tuple(f"q_{j}" for j in moved[:4]),
-        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * _one(part))),
+        lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * np.eye(6)[part])),
         lambda size: {"greatest_bend": size}, also=tuple(moved[1:2]),
     )  # fmt: skip
 
@@ -202,7 +202,7 @@ def creep(scene: Scene, rng: np.random.Generator) -> Concealed:
     name = scene.chain.joints[k].name
     return Concealed(
         scene, "creep", form, name, COMPONENTS[part], ("time", LOADS[part]),
-        lambda s, size: Change(eps=s.eps(k, -size * shape(s)[:, None] * _one(part))),
+        lambda s, size: Change(eps=s.eps(k, -size * shape(s)[:, None] * np.eye(6)[part])),
         lambda size: {"full_load_creep": size, "fast_s": float(fast), "slow_s": float(slow)},
     )  # fmt: skip
 
@@ -268,9 +268,3 @@ def _loaded(scene: Scene, rng: np.random.Generator, crossing: bool) -> tuple[int
             f"{scene.chain.name}: no moment {'changes sign' if crossing else 'varies with the load'}"
         )
     return found[int(rng.integers(len(found)))]
-
-
-def _one(component: int) -> Array:
-    twist = np.zeros(6)
-    twist[component] = 1.0
-    return twist

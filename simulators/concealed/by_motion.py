@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulators.chain import Array
 from simulators.concealed.scene import COMPONENTS, Change, Concealed, Scene
@@ -112,7 +111,7 @@ def periodic_transmission(scene: Scene, rng: np.random.Generator) -> Concealed:
     """
     k, name = _pick(scene, rng)
     form = str(rng.choice(["two harmonics", "tooth"]))
-    # between an eighth of the travel, which a smooth error function cannot follow, and a sixtieth
+    # between a tenth of the travel, which a smooth error function cannot follow, and a sixtieth
     period = scene.travel(k) * float(np.exp(rng.uniform(np.log(1 / 60), np.log(1 / 10))))
     phase = rng.uniform(0, 1, 2)
     second = rng.uniform(0.1, 0.5) if form == "two harmonics" else 0.0
@@ -138,8 +137,8 @@ def periodic_transmission(scene: Scene, rng: np.random.Generator) -> Concealed:
 def zero_shift(scene: Scene, rng: np.random.Generator) -> Concealed:
     """The joint's zero is another one from some moment on: a coupling slipped, the drive was homed anew.
 
-    jump     once and for all;   creeping back: half of the jump is lost again within hours
-    two      it slips twice, the second time further
+    jump     once and for all;   creeping back: 40 % of the jump are lost again within hours
+    two      it slips twice, the second time by 0.4 to 0.8 as much again
     """
     k, name = _pick(scene, rng)
     form = str(rng.choice(["jump", "creeping back", "two jumps"]))
@@ -185,15 +184,9 @@ def cross_coupling(scene: Scene, rng: np.random.Generator) -> Concealed:
         return shapes[form](s.unit_position(k), s.unit_position(other))
 
     component = int(rng.integers(6))
-    twist = _one(component)
+    twist = np.eye(6)[component]
     return Concealed(
         scene, "cross_coupling", form, name, COMPONENTS[component], (f"q_{name}", f"q_{second}"),
         lambda s, size: Change(eps=s.eps(k, size * shape(s)[:, None] * twist)),
         lambda size: {"size": size}, also=(second,),
     )  # fmt: skip
-
-
-def _one(component: int) -> NDArray[np.float64]:
-    twist = np.zeros(6)
-    twist[component] = 1.0
-    return twist

@@ -81,7 +81,8 @@ def drift(scene: Scene, rng: np.random.Generator) -> Concealed:
 def tracker_scale(scene: Scene, rng: np.random.Generator) -> Concealed:
     """The tracker's metre is not a metre.
 
-    constant    a wrong refraction or reflector constant;   air: wrong by so many ppm per kelvin, from its own station
+    constant    a wrong refraction or reflector constant
+    air         wrong by so many ppm per kelvin, about the base's origin or about a station metres away
     """
     form = str(rng.choice(["constant", "with the air", "with the air, from a station"]))
     station = None if form != "with the air, from a station" else rng.uniform(2.5, 5.0) * _direction(rng)

@@ -367,7 +367,7 @@ def test_a_run_that_left_only_its_figures_is_reported_from_them(tmp_path: Path) 
     four = {"median_mm": 4.0, "p95_mm": 7.0, "p98_6_mm": 8.0, "max_mm": 9.0}
     small = {"median_mm": 0.1, "p95_mm": 0.3, "p98_6_mm": 0.4, "max_mm": 0.5}
     result = {"uncompensated": four, "compensated": small, "repeatability_mm": 0.14, "note": "<script>1</script>"}
-    (tmp_path / "result.json").write_text(json.dumps(result))
+    (tmp_path / "demo.json").write_text(json.dumps(result))
     build_report(tmp_path, NOW)
     seen = page(tmp_path)
     assert "from within 8.00\N{NO-BREAK SPACE}mm to within 0.400\N{NO-BREAK SPACE}mm, a factor of 20" in seen.words
