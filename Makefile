@@ -30,7 +30,7 @@ layers: env
 	$(BIN)/lint-imports
 # One linear-algebra thread per test process: two processes with two threads each would fight over two cores.
 unit: env
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

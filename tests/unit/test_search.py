@@ -20,6 +20,7 @@ from ppshw.diagnosis.search import (
     Found,
     _beside_a_riddle,
     _caster,
+    _drop_what_riddles_leave,
     _give_up,
     _soft_walls,
     search,
@@ -157,21 +158,45 @@ def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: fl
 
 
 @pytest.mark.parametrize(
-    ("own", "with_all", "stands"), [(100.9, 105.9, False), (101.1, 0.0, True), (0.0, 106.1, True), (0.0, 100.9, False)]
-)
+    ("rival", "own", "with_all", "stands"),
+    [
+        (100.0, 100.7, 105.9, False), (100.0, 100.9, 0.0, True), (100.0, 0.0, 106.1, True), (100.0, 0.0, 100.9, False),
+        (2000.0, 1998.0, 0.0, True), (2000.0, 1996.0, 0.0, False),
+    ],
+)  # fmt: skip
 def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
-    space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, with_all: float, stands: bool
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, rival: float, own: float, with_all: float, stands: bool
 ) -> None:
-    """The best rival without a name says 100."""
+    """By its own form a step ahead of the best rival without a name, less a five-hundredth of what it says."""
     some = _creep_and_riddles(space)
     tried = Tried(space, some, 5e-5)
-    evidence = np.where([k.effect == "nameless" for k in some], 100.0, own)
-    evidence -= math.log(sum(math.exp(share) for share in tried.log_share[evidence == 100.0]))
+    without = np.array([k.effect == "nameless" for k in some])
+    evidence = np.where(without, rival, own)
+    evidence -= math.log(sum(math.exp(share) for share in tried.log_share[without]))
     monkeypatch.setattr(module, "_by_itself", lambda *_: (own, with_all, evidence))
     found = [Found(0, ("creep", NAME), 0.0, 160.0, first=160.0)]
     _give_up(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "own", "stands"), [("zero_shift", 14.0, False), ("zero_shift", 15.0, True), ("creep", 14.0, True)]
+)
+def test_a_name_that_goes_with_time_alone_is_left_of_a_riddle_ten_times_as_loud(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, effect: str, own: float, stands: bool
+) -> None:
+    """Rivals without a name say 100 after their handicap, 143 before it."""
+    some = [k for k in _named(space, effect) if k.joint == NAME][:1] + [
+        k for k in _named(space, "nameless") if k.covariates[:1] == (f"approach_{NAME}",)
+    ]  # fmt: skip
+    tried = Tried(space, some, 5e-5)
+    said = {"nameless": 100.0, effect: own}
+    monkeypatch.setattr(module, "_by_itself", lambda _, __, f, ___: (said[f.name[0]], 200.0, None))
+    found = [Found(0, (effect, NAME), 0.0, own, first=own), Found(1, ("nameless", None), 0.0, 100.0, first=100.0)]
+    _drop_what_riddles_leave(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == ([effect] if stands else []) + ["nameless"]
 
 
 def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(

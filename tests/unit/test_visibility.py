@@ -113,7 +113,7 @@ def test_chance_alone_reaches_what_a_finding_needs_in_three_of_a_hundred_at_most
 
 
 def test_rows_say_what_the_contract_asks_for(tried: Tried) -> None:
-    rows = visibility(tried.space, tried)
+    rows = visibility(tried)
     assert {"effect", "joint", "share", "detectable_mm", "aliases"} <= set(rows[0])
     assert all(0.0 <= r["share"] <= 1.0 and r["detectable_mm"] > 0 for r in rows)
     assert all(r["share_range"][0] <= r["share_range"][1] for r in rows)
