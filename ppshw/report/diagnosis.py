@@ -167,9 +167,9 @@ def _rms(space: Workspace, f: Found | None = None, candidate: Candidate | None =
 def _channel(compared: Compared, gradient: Array, located: Map, candidate: Candidate, displaced: Array) -> int:
     """The component that shows most of what a finding does."""
     first = candidate.columns[0]
-    frame = first.frame if first.on == "frame" or first.function == "unexplained" else -1
+    frame = first.frame if first.on == "frame" or first.function == "unexplained" else None
     allowed = residuals.components_of(located.channels, frame, candidate.component)
-    if candidate.effect == "target_moved":
+    if first.on == "points":  # of the distances between reflectors too
         allowed = list(range(len(located.channels)))
     white = (compared.root @ displaced[..., None])[..., 0]
     score = np.einsum("ni,nic->nc", white, gradient[:, :, allowed])

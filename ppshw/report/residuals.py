@@ -253,9 +253,10 @@ def _against(check: dict[str, object]) -> float:
     return (observed - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-12)
 
 
-def components_of(channels: tuple[Channel, ...], frame: int, component: str | None) -> list[int]:
-    """The channels that a finding may be read in: its own, its frame's, or any."""
-    mine = [j for j, ch in enumerate(channels) if ch.index == frame]
+def components_of(channels: tuple[Channel, ...], frame: int | None, component: str | None) -> list[int]:
+    """The channels that a finding may be read in: its own, its frame's, or any frame's where it sits at none."""
+    frames = [j for j, ch in enumerate(channels) if ch.index >= 0]
+    mine = frames if frame is None else [j for j in frames if channels[j].index == frame]
     if component in COMPONENTS:
         mine = [j for j in mine if channels[j].component == component] or mine
-    return mine or [j for j, ch in enumerate(channels) if ch.index >= 0]
+    return mine

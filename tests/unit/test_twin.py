@@ -17,7 +17,7 @@ from ppshw.cli import main
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import Check, before_and_after, check, sentence
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.locate import Map
+from ppshw.diagnosis.locate import Map, channels
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -28,6 +28,7 @@ from ppshw.machine import load_machine
 from ppshw.recording import Recording, load_recording, read_table
 from ppshw.report import build_report
 from ppshw.report.diagnosis import render
+from ppshw.report.residuals import components_of
 from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Column
 from ppshw.twin import compare, simulate
@@ -241,6 +242,18 @@ def test_the_report_of_a_folder_says_what_its_diagnosis_found(rig: Rig, tmp_path
     (tmp_path / "diagnosis.json").write_text('{"verdict": "consistent"}')
     with pytest.raises(ReportError, match="no answer of a diagnosis, without findings, held_out"):
         build_report(tmp_path)
+
+
+def test_what_acts_on_several_frames_is_read_in_one_and_not_between_reflectors(rig: Rig) -> None:
+    """A link that grows moves all reflectors alike."""
+    found = channels(rig.space.context)
+    frames = [found[j] for j in components_of(found, None, None)]
+    assert {ch.frame for ch in frames} == set(rig.space.machine.frame_names)
+    assert len(frames) < len(found)  # distances between reflectors are among all of them
+    assert {found[j].frame for j in components_of(found, LATERAL + 1, None)} == {"lateral"}
+    assert [(found[j].frame, found[j].component) for j in components_of(found, VERTICAL + 1, "ry")] == [
+        ("vertical", "ry")
+    ]
 
 
 def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
