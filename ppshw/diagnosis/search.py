@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -366,6 +367,17 @@ def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[
     main, every = slice(found.at, found.at + len(candidate.columns)), found.columns(candidate)
     std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[main]
     return values[main], std, _rms(space, space.taken[:, :, every] @ values[every])
+
+
+def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
+    """Coefficients of the finding's own form and their standard deviations, as if it had no near forms: what a gap or a
+    jump is. Beside near forms, which can be the same or its opposite, they say little."""
+    keep = np.ones(len(space.taken_prior), dtype=bool)
+    keep[found.columns(candidate)] = False
+    keep[found.at : found.at + len(candidate.columns)] = True
+    space = copy(space)
+    space.take_up(space.taken[:, :, keep], space.taken_prior[keep])
+    return coefficients(space, candidate, replace(found, near=()))[:2]
 
 
 def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:

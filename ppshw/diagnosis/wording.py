@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import Found, coefficients
+from ppshw.diagnosis.search import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -25,7 +25,8 @@ LEAST_P = 1e-12
 def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     """One finding of the contract's §4; `space` has all findings taken up."""
     candidate = tried.candidates[found.best]
-    values, std, rms = coefficients(space, candidate, found)
+    rms = coefficients(space, candidate, found)[2]
+    values, std = by_its_own_form(space, candidate, found)
     parameters = parameters_of(candidate, values, std)
     weights = found.weights or {found.name: 1.0}
     alternatives = [

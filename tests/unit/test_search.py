@@ -25,7 +25,7 @@ from ppshw.diagnosis.search import (
     _soft_walls,
     search,
 )
-from ppshw.diagnosis.wording import parameters_of
+from ppshw.diagnosis.wording import finding, parameters_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
@@ -91,6 +91,17 @@ def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Wor
     assert _best(tried, found[0]).covariates[0] == f"approach_{NAME}"
     found, _ = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
+
+
+def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
+    """Near forms that are the same or its opposite do not share it, nor make it vague."""
+    there = _with(space, _on_the_joint(space, "approach"), 2.0)
+    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    moved = _on_the_joint(space, "approach").evaluate(space.context)
+    half = 2.0 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    gap = finding(there, tried, found[0])["parameters"]["gap"]
+    assert gap["std"] < 0.1 * 2 * half
+    assert gap["value"] == pytest.approx(-2 * half, abs=3 * gap["std"])
 
 
 def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
