@@ -2,8 +2,8 @@
 
 No machine has exactly the play or the creep of a textbook. What the library's form leaves of a large effect would be
 found as a second effect, with a name that nothing bears; instead every finding brings its own freedom along: the same
-joint and cause, other widths, lags, harmonics, moments, for some effects other components. The prior lets
-them be a part of the main form.
+joint and cause, other widths, lags, harmonics, moments, for some effects other components. The prior lets them be
+a part of the main form.
 """
 
 from __future__ import annotations

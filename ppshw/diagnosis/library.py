@@ -1,7 +1,7 @@
 """Every effect that is tried, as candidates: per effect of the contract's table the joints, components and shapes.
 
-Shares are prior weights among the candidates of one effect; what sits in a drive has the
-joint's own direction alone. Grids of nonlinear parameters are part of the candidates: the evidence averages over them.
+Shares are prior weights among the candidates of one effect; what sits in a drive has the joint's
+own direction alone. Grids of nonlinear parameters are part of the candidates: the evidence averages over them.
 """
 
 from __future__ import annotations

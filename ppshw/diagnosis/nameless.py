@@ -33,7 +33,7 @@ from ppshw.terms.shapes import Column, Context, named_column
 Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # of loads
-# Half waves in time that nobody names: down to half an hour in a campaign of ten; down to a third of an hour.
+# Half waves in time that nobody names: down to half an hour in a campaign of ten, and to a third of one.
 RHYTHMS, QUICKER = 36, 64
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over

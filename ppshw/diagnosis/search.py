@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -375,9 +374,7 @@ def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tup
     keep = np.ones(len(space.taken_prior), dtype=bool)
     keep[found.columns(candidate)] = False
     keep[found.at : found.at + len(candidate.columns)] = True
-    space = copy(space)
-    space.take_up(space.taken[:, :, keep], space.taken_prior[keep])
-    return coefficients(space, candidate, replace(found, near=()))[:2]
+    return coefficients(space.keeping(keep), candidate, replace(found, near=()))[:2]
 
 
 def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:

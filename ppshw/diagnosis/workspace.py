@@ -10,6 +10,7 @@ so that no candidate is credited with what the base model can explain. docs/diag
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -136,6 +137,13 @@ class Workspace:
         white = self.whiten(columns) if seen is None else seen[0]
         self.taken_white, self.absorbed = (white, self.absorb(white)) if seen is None else seen
         self.middle = np.linalg.inv(self.taken_white.T @ self.absorbed + np.diag(1.0 / prior**2))
+
+    def keeping(self, keep: Mask) -> Workspace:
+        """Another workspace with only these (k,) of the columns that were taken up."""
+        some = copy(self)
+        known = self.taken_white[:, keep], self.absorbed[:, keep]
+        some.take_up(self.taken[:, :, keep], self.taken_prior[keep], known)
+        return some
 
     def log_evidence(self) -> float:
         """Log evidence of what was taken up against nothing (MacKay 1992): ½ bᵀMb − ½ ln det(Λ M⁻¹), b = Fᵀ P y."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import ODD, check, sentence
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.locate import Map, gradients
+from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
 from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.wording import how_rare
@@ -128,7 +127,7 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
     out = []
     for f, candidate in diagnosis.found:
         displaced = _displaced(space, f, candidate)[space.fit]
-        which = _channel(compared, gradient, located, candidate, displaced)
+        which = _channel(compared, gradient, located.channels, candidate, displaced)
         reading = residuals.read(compared, located.channels, which, displaced)
         white = (compared.root @ displaced[..., None])[..., 0]
         fitted = (white * gradient[:, :, which]).sum(axis=1) / np.maximum(reading.weights, 1e-30) * 1e6
@@ -158,19 +157,20 @@ def _rms(space: Workspace, f: Found | None = None, candidate: Candidate | None =
     if f is not None and candidate is not None:
         keep = np.ones(len(space.taken_prior), dtype=bool)
         keep[f.columns(candidate)] = False
-        space = copy(space)
-        space.take_up(space.taken[:, :, keep], space.taken_prior[keep])
+        space = space.keeping(keep)
     left = space.residual()[space.fit].reshape(-1, 3)
     return float(np.sqrt(np.nanmean(np.where(np.isfinite(left).all(axis=1), (left**2).sum(axis=1), np.nan))) * 1e3)
 
 
-def _channel(compared: Compared, gradient: Array, located: Map, candidate: Candidate, displaced: Array) -> int:
+def _channel(
+    compared: Compared, gradient: Array, channels: tuple[Channel, ...], candidate: Candidate, displaced: Array
+) -> int:  # fmt: skip
     """The component that shows most of what a finding does."""
     first = candidate.columns[0]
     frame = first.frame if first.on == "frame" or first.function == "unexplained" else None
-    allowed = residuals.components_of(located.channels, frame, candidate.component)
+    allowed = residuals.components_of(channels, frame, candidate.component)
     if first.on == "points":  # of the distances between reflectors too
-        allowed = list(range(len(located.channels)))
+        allowed = list(range(len(channels)))
     white = (compared.root @ displaced[..., None])[..., 0]
     score = np.einsum("ni,nic->nc", white, gradient[:, :, allowed])
     size = (score**2 / np.maximum((gradient[:, :, allowed] ** 2).sum(axis=1), 1e-30)).sum(axis=0)

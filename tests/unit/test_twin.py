@@ -17,7 +17,7 @@ from ppshw.cli import main
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import Check, before_and_after, check, sentence
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.locate import Map, channels
+from ppshw.diagnosis.locate import Map, channels, gradients
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -27,7 +27,7 @@ from ppshw.identification.structure import joint_model
 from ppshw.machine import load_machine
 from ppshw.recording import Recording, load_recording, read_table
 from ppshw.report import build_report
-from ppshw.report.diagnosis import render
+from ppshw.report.diagnosis import _channel, render
 from ppshw.report.residuals import components_of
 from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Column
@@ -246,7 +246,7 @@ def test_the_report_of_a_folder_says_what_its_diagnosis_found(rig: Rig, tmp_path
 
 def test_what_acts_on_several_frames_is_read_in_one_and_not_between_reflectors(rig: Rig) -> None:
     """A link that grows moves all reflectors alike."""
-    found = channels(rig.space.context)
+    found = tuple(channels(rig.space.context))
     frames = [found[j] for j in components_of(found, None, None)]
     assert {ch.frame for ch in frames} == set(rig.space.machine.frame_names)
     assert len(frames) < len(found)  # distances between reflectors are among all of them
@@ -254,6 +254,14 @@ def test_what_acts_on_several_frames_is_read_in_one_and_not_between_reflectors(r
     assert [(found[j].frame, found[j].component) for j in components_of(found, VERTICAL + 1, "ry")] == [
         ("vertical", "ry")
     ]
+    compared = of_space(rig.space)
+    grows = Column("frames", "link_growth", {"place": "air", "tau": 0.5, "joint": VERTICAL})
+    falls = Column("points", "target_shift", {"target": 0, "axis": 2})
+    for column, where in ((grows, set(rig.space.machine.frame_names)), (falls, {"reflectors"})):
+        candidate = Candidate("some", None, None, None, "time", (column,))
+        displaced = column.evaluate(rig.space.context)[rig.space.fit]
+        which = _channel(compared, gradients(compared), found, candidate, displaced)
+        assert found[which].frame in where
 
 
 def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
