@@ -85,6 +85,8 @@ class Tried:
         self.name_of = np.array([position[k.effect, k.joint] for k in candidates])
         self._sorted = np.argsort(self.name_of, kind="stable")
         self._starts = np.searchsorted(self.name_of[self._sorted], np.arange(len(self.names)))
+        effects = {effect: e for e, effect in enumerate(dict.fromkeys(effect for effect, _ in self.names))}
+        self._effect_of = np.array([effects[effect] for effect, _ in self.names])
         self._nameless = np.array([effect == "nameless" for effect, _ in self.names])
         self._crossed: dict[Key, Single] = {}
         self._values: dict[Key, tuple[Array, Array, Array]] = {}
@@ -208,6 +210,12 @@ class Tried:
         with np.errstate(divide="ignore"):
             out = most + np.log(np.add.reduceat(np.exp(away), self._starts))
         return np.where(self._nameless & (out > 0).T, HANDICAP * out.T, out.T)
+
+    def likeliest(self, names: Array) -> int:
+        """The best name of the effect that the evidence of all names (names,) speaks for: what cannot be told to sit in
+        one joint or the next is no less likely for it."""
+        said = [np.logaddexp.reduce(names[self._effect_of == e]) for e in range(int(self._effect_of.max()) + 1)]
+        return int(np.argmax(np.where(self._effect_of == int(np.argmax(said)), names, -np.inf)))
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,).

@@ -25,6 +25,8 @@ def of_its_kind(named: Candidate, rival: Candidate) -> bool:
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
             return rival.frame == named.frame and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+        case "periodic_transmission":  # a band of waves over its own position, its own among them
+            return here and over == {named.covariate} and all(column.function == "wave" for column in rival.columns)
         case "target_moved":
             return over == {named.covariate}
         case "creep":

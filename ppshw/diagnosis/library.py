@@ -37,8 +37,12 @@ FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
 TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
+# Shares of the visits whose load is below that at which stiffness changes.
+KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
+ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
+BALANCED = (0.35, 0.5, 0.65)  # shares of the visits below the load at which one falls that never changes sign
 # Powers of polynomials in two positions, to the ninth order: five half waves of one where there are four of the other.
 FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
@@ -260,6 +264,7 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
             powers = ((0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
             shapes = [("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers]
             shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w), 2 / len(TAKEN_UP)) for w in TAKEN_UP]
+            shapes += [("load_knee", knee, {"knee_load": knee["at"]}, 0.2) for knee in _knees(c, frame, b)]
             for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(
@@ -267,6 +272,13 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
+
+
+def _knees(c: Context, frame: int, component: int) -> list[dict[str, float]]:
+    """Loads above which a link may be stiffer or softer than below, and over how much it changes [N, N m]."""
+    w = c.wrenches[:, frame, component]
+    widths = ROUNDED * float(w.std())
+    return [{"at": float(at), "width": float(width)} for at in np.quantile(w, KNEES_AT) for width in widths]
 
 
 def _of_load(c: Context, frame: int, component: int, width: float) -> dict[str, float]:
@@ -299,7 +311,11 @@ def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any]
     for wide, offset in itertools.product((0.02, 0.1, 0.3), FALLS_AT):
         if changes_side(w - offset * w.std()):
             yield "load_side", {"width": wide, "offset": offset}, 1.0 if abs(offset) < 0.5 else PRELOADED
-    if changes_side(w):
+    if not changes_side(w):  # whatever balances the rest of it
+        middle = np.quantile(w, BALANCED) / w.std()
+        for wide, offset in itertools.product((0.1, 0.3), map(float, middle)):
+            yield "load_side", {"width": wide, "offset": offset}, PRELOADED
+    else:
         yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
     # its own weight may be balanced, so that the payload alone pushes it over
     if c.recording.has_wrench and changes_side(w - own_weight(c, frame, b)):

@@ -417,7 +417,14 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
             for order in (1, 2) for phase in ("sin", "cos")
         )  # fmt: skip
         yield Candidate("nameless", None, None, None, angle, off)
-    for place in ("", *temperature_places(c)):
+    warm = temperature_places(c)
+    for places in (*zip(warm, strict=True), *itertools.combinations(warm, 2)):
+        names = tuple(f"temp_{place}_C" for place in places)
+        bends = [
+            Column("points", "refraction", {"place": place, "part": part}) for place in places for part in range(5)
+        ]
+        yield replace(_nameless(c, None, None, names, bends), covariate=f"distance × {' × '.join(names)}")
+    for place in ("", *warm):
         stretched = [
             Column("points", "strain", {"first": a, "second": b, "place": place})
             for a, b in itertools.combinations_with_replacement(range(3), 2)

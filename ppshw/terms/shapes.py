@@ -312,6 +312,13 @@ def load_power(c: Context, frame: int, component: int, exponent: float) -> Array
     return np.asarray(np.sign(w) * np.abs(w) ** exponent / _most(c, frame, component) ** (exponent - 1))
 
 
+def load_knee(c: Context, frame: int, component: int, at: float, width: float) -> Array:
+    """How far a component of the wrench on a frame is above `at`, rounded over `width` (both N or N m): what is stiffer
+    on one side of a load than on the other."""
+    above = c.wrenches[:, frame, component] - at
+    return np.asarray(0.5 * (above + np.hypot(above, width)))
+
+
 def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "") -> Array:
     """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread.
 
@@ -713,6 +720,16 @@ def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
     return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
 
 
+def refraction(c: Context, place: str, part: int) -> Array:
+    """What bends upwards per kelvin: by a coordinate in the measuring frame (part 0 to 2), evenly (3), with the squared
+    distance from its origin (4): together with the squared distance from wherever the instrument stands. The beam does
+    in air whose temperature changes with height."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    parts = (*np.moveaxis(rays, 2, 0), np.ones(rays.shape[:2]), (rays**2).sum(axis=2))
+    return np.asarray((parts[part] * temperature(c, place, 0.0)[:, None])[..., None] * up)
+
+
 def target_shift(
     c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = ""
 ) -> Array:
@@ -735,9 +752,9 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, turning, slipping, winding, temperature, temperature_q, link_growth, clock,
-        clock_q, step, settling, wave, wave_q, load, load_q, load_turn, load_power, load_side, load_side_held,
-        load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging, pair, product, covariate,
-        covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain, angle_error, target_shift,
-        unexplained, instead, model_shift,
+        clock_q, step, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee, load_side,
+        load_side_held, load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging,
+        pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain,
+        angle_error, refraction, target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

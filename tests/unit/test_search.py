@@ -12,7 +12,7 @@ import pytest
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
-from ppshw.diagnosis.library import Candidate, library, own_component
+from ppshw.diagnosis.library import FALLS_AT, Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import (
     MAY_BE_PLAY,
@@ -307,6 +307,78 @@ def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> No
     best = _best(tried, found[0])
     assert best.covariates == (f"previous_q_{NAME}",)
     assert (best.frame, best.component) == (space.machine.frame_names[3], "ry")
+
+
+def test_what_sits_in_no_one_joint_for_sure_is_no_less_likely_for_it(space: Workspace) -> None:
+    """Three joints that say 20 each are 21.1 together, more than one effect's 20.5 elsewhere and less than 21.5."""
+    tried = Tried(space, _named(space, "thermal_growth", "tracker_scale"), 5e-5)
+    joints = [j for j, (effect, _) in enumerate(tried.names) if effect == "thermal_growth"][:3]
+    for elsewhere, wanted in ((20.5, "thermal_growth"), (21.5, "tracker_scale")):
+        names = np.where([effect == "tracker_scale" for effect, _ in tried.names], elsewhere, -50.0)
+        names[joints] = (20.0, 20.1, 19.9)
+        best = tried.likeliest(names)
+        assert tried.names[best][0] == wanted
+        assert wanted == "tracker_scale" or best == joints[1]
+
+
+@pytest.mark.parametrize(("said", "wanted"), [(94.0, "backlash"), (85.0, "friction_hysteresis")])
+def test_play_in_another_drive_does_not_make_friction_play(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
+) -> None:
+    """Play found in one joint; in another friction says 99, and play less."""
+    some = _named(space, "backlash", "friction_hysteresis")
+    tried = Tried(space, some, 5e-5)
+    there = next(j for j, k in enumerate(some) if k.effect == "backlash" and k.joint == "yaw")
+    names = np.full(len(tried.names), -50.0)
+    names[tried.names.index(("friction_hysteresis", NAME))] = 99.0
+    names[tried.names.index(("backlash", NAME))] = said
+    monkeypatch.setattr(module, "_names", lambda _: (np.zeros(len(some)), names))
+    best = module._best(tried, [Found(there, ("backlash", "yaw"), 0.0, 400.0, first=400.0)])[0]
+    assert (some[best].effect, some[best].joint) == (wanted, NAME)
+
+
+def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
+    frame = space.machine.joint_names.index("lateral") + 1  # whose load takes all values, not a few
+    load = space.context.wrenches[:, frame, 3]
+    beyond = np.where(load > np.quantile(load, 0.45), load - np.quantile(load, 0.45), 0.0)
+    moved = space.context.jacobian[:, :, frame, 3] * beyond[:, None]
+    moved *= 5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    assert [f.name[0] for f in found] == ["nonlinear_stiffness"]
+    candidate = _best(tried, found[0])
+    said = parameters_of(candidate, np.array([1e-9]), np.array([1e-10]))
+    assert (said["compliance"]["unit"], said["knee_load"]["unit"]) == ("rad/(N m)", "N m")
+    frame, component = candidate.columns[0].frame, candidate.columns[0].args["component"]
+    at = space.context.wrenches[:, frame, component]
+    assert np.quantile(at, 0.3) < said["knee_load"]["value"] < np.quantile(at, 0.7)
+
+
+def test_a_joint_whose_weight_is_balanced_falls_about_a_load_that_never_changes_sign(space: Workspace) -> None:
+    """By the contract's clearance, about the middle of its loads."""
+    always = [
+        (k, b) for k in range(1, space.machine.n + 1) for b in range(3, 6)
+        if np.ptp(space.context.wrenches[:, k, b]) > 0 and (space.context.wrenches[:, k, b] > 0).mean() in (0.0, 1.0)
+    ]  # fmt: skip
+    sides = [k.columns[0] for k in _named(space, "clearance") if k.columns[0].function == "load_side"]
+    balanced = [
+        s for s in sides
+        if (s.args["frame"], s.args["component"]) in always and s.args.get("offset", 0.0) not in FALLS_AT
+    ]  # fmt: skip
+    assert balanced
+    for column in balanced:
+        assert 0.2 < (column.value(space.context) > 0).mean() < 0.8
+
+
+def test_a_reflector_that_moves_twice_is_one_finding(space: Workspace) -> None:
+    some = [k for k in _named(space, "target_moved") if "time_h" in k.shape]
+    first, later = 0, len(some) - 1
+    tried = Tried(space, some, 5e-5)
+    found = Found(first, ("target_moved", None), 0.0, 50.0, first=50.0)
+    assert some[first].covariate != some[later].covariate
+    assert _caster(tried, later, 60.0, [found]) is None
+    again = next(j for j in range(later, 0, -1) if some[j].covariate == some[first].covariate)
+    assert some[again].shape["time_h"] > some[first].shape["time_h"] + 1.0
+    assert _caster(tried, again, 60.0, [found]) is found
 
 
 def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Workspace) -> None:

@@ -315,6 +315,25 @@ def test_an_instrument_s_angle_error_moves_what_it_sees_as_a_turn_of_its_circles
         assert np.allclose(column.value(c), (seen - rays) / little, atol=1e-5 * distance.max())
 
 
+def test_a_beam_bent_by_warm_air_is_some_mixture_of_what_is_tried_wherever_the_instrument_stands(
+    space: Workspace,
+) -> None:
+    station, air = np.array([-2.0, 0.5, 4.0]), space.recording.temperatures["air"]
+    far = ((space.context.points - station) ** 2).sum(axis=2) * (air - 20.0)[:, None]
+    up = -np.asarray(space.machine.gravity) / np.linalg.norm(space.machine.gravity)
+    bent = (far[..., None] * up).reshape(len(air), -1).ravel()
+    tried = next(
+        k for k in nameless(space.context)
+        if k.columns[0].function == "refraction" and k.covariates == ("temp_air_C",)
+    )  # fmt: skip
+    columns = np.stack([column.evaluate(space.context).ravel() for column in tried.columns], axis=1)
+    level = np.stack([(space.context.points[..., a, None] * up).ravel() for a in range(3)], axis=1)
+    steady = [(((space.context.points**2).sum(axis=2))[..., None] * up).ravel(), np.tile(up, far.size)]
+    every = np.column_stack([columns, level, *steady])  # what does not go with the temperature is the base model's
+    left = bent - every @ np.linalg.lstsq(every, bent, rcond=None)[0]
+    assert np.abs(left).max() < 1e-6 * np.abs(bent).max()
+
+
 def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_recording_s_own(space: Workspace) -> None:
     c = space.context
     now = named_column(c, "on_j2_My")
