@@ -264,7 +264,6 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
             powers = ((0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
             shapes = [("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers]
             shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w), 2 / len(TAKEN_UP)) for w in TAKEN_UP]
-            shapes += [("load_knee", knee, {"knee_load": knee["at"]}, 0.2) for knee in _knees(c, frame, b)]
             for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(
@@ -272,6 +271,11 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
+            for knee in _knees(c, frame, b):
+                yield Candidate(
+                    "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b],
+                    (Column("frame", "load_knee", {**where, **knee}, frame, b),), {"knee_load": knee["at"]}, 0.2,
+                )  # fmt: skip
 
 
 def _knees(c: Context, frame: int, component: int) -> list[dict[str, float]]:

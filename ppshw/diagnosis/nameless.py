@@ -191,11 +191,26 @@ def _reversals(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (came, way), [
                 Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
             ])  # fmt: skip
+        for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
+            args = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
+            yield _nameless(c, k + 1, own_component(c, k), (came, other), [
+                Column("frame", "approach", {"joint": k}, k + 1, own_component(c, k)),
+                Column("frame", "covariate_pair", args, k + 1, own_component(c, k)),
+            ])  # fmt: skip
         for comp in set(range(6)) - {own_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
             side = Column("frame", "approach", {"joint": k}, k + 1, comp)
             where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
             yield _nameless(c, k + 1, comp, (came,), (side,))
             yield _nameless(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
+
+
+def _goes_along(c: Context, frame: int) -> list[str]:
+    """With what a joint's lost motion may change: temperatures, time, how long it settled, what hangs on its frame."""
+    out = [*(f"temp_{place}_C" for place in temperature_places(c)), "time"]
+    out += ["settle_s"] if np.isfinite(c.recording.settle_s).all() and np.ptp(c.recording.settle_s) > 0 else []
+    if c.recording.has_wrench:
+        out += [f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}" for b in loads_on(c, frame)]
+    return out
 
 
 def _under_load(c: Context) -> Iterator[Candidate]:
