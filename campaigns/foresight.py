@@ -207,7 +207,7 @@ def pretended(
 
     cases (N,) what lies on at each visit; q, approach (N, n); hours (N,); measured (N, T)
     """
-    frame = np.eye(4) if machine.tracker.base is None else machine.tracker.base
+    frame = machine.tracker.frame
     points = point_positions(machine, q, machine.target_array)
     into = inverse(frame)
     points = points @ into[:3, :3].T + into[:3, 3]
@@ -229,7 +229,7 @@ def laid_out(belief: Belief, recording: Recording) -> Workspace:
     parameters = belief.model.parameters()
     groups = {p.group: float(s / p.scale) for p, s in zip(parameters, belief.strengths, strict=True)}
     machine = belief.machine
-    frame = np.eye(4) if machine.tracker.base is None else machine.tracker.base
+    frame = machine.tracker.frame
     nothing = np.zeros((0, 0))
     theta = belief.theta + springs(belief.model, belief.strengths)
     believed = Estimate(belief.model, theta, nothing, groups, belief.noise, frame, np.ones(len(recording)))
@@ -266,7 +266,7 @@ def approaches(q: Array, via: Array) -> NDArray[np.int64]:
 
 
 def _point(machine: Machine) -> Array:
-    return machine.point("treatment" if "treatment" in machine.points else "tip")
+    return machine.point(machine.where_it_counts)
 
 
 def _expected(machine: Machine) -> Iterable[Name]:

@@ -73,6 +73,11 @@ class TrackerModel:
     base: Array | None
     targets_known: bool
 
+    @property
+    def frame(self) -> Array:
+        """(4, 4) measuring frame in the base frame; the base frame itself where the file leaves it open."""
+        return np.eye(4) if self.base is None else self.base
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -122,6 +127,11 @@ class Machine:
             return self.targets[name]
         known = ", ".join(["tip", *self.points, *self.targets])
         raise MachineFileError(f"{self.file}: no point named '{name}' (there are: {known})")
+
+    @property
+    def where_it_counts(self) -> str:
+        """The point at which accuracy is asked for unless somebody says otherwise: `treatment`, or else the tip."""
+        return "treatment" if "treatment" in self.points else "tip"
 
     def limits(self) -> tuple[Array, Array]:
         """(n,) lower and upper; infinite where the file gives none."""

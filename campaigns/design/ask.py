@@ -60,7 +60,7 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
     """
     progress = progress or (lambda stage: lambda done, total: None)
     machine, recording = question.machine, question.after
-    point = question.point or ("treatment" if "treatment" in machine.points else "tip")
+    point = question.point or machine.where_it_counts
     place = machine.point(point)
     about = question.visits or (ABOUT if recording is None else len(recording) // 2)
     information = None
@@ -94,7 +94,7 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
 def _belief(question: Question, visits: int) -> Belief:
     machine, calibration = question.machine, question.calibration
     if calibration is None:
-        point = question.point or ("treatment" if "treatment" in machine.points else "tip")
+        point = question.point or machine.where_it_counts
         return typical(machine, visits, machine.point(point))
     if not calibration.strengths:
         raise CampaignError(

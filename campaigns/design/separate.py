@@ -96,7 +96,7 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     offered = blocks(machine, cases, which, wanted.seed)
     whole = _followed_by(recording, offered, machine)
     theta = belief.theta + springs(belief.model, belief.strengths)
-    frame = np.eye(4) if machine.tracker.base is None else machine.tracker.base
+    frame = machine.tracker.frame
     rich = Context.of(belief.model, theta, whole, frame)
     columns, pairs = _columns(rich, wanted)
     sizes = np.array([_rms(c.evaluate(rich), whole) for c in columns])
@@ -127,7 +127,7 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
 def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
     """The visits made or planned, what is believed, loads that may be put on (empty first), the repeatability [m]."""
     machine, known = wanted.machine, wanted.so_far
-    point = machine.point("treatment" if "treatment" in machine.points else "tip")
+    point = machine.point(machine.where_it_counts)
     empty = LoadCase("empty", 0.0, (0.0, 0.0, 0.0))
     if isinstance(known, Plan):
         recording = would_be(known)
