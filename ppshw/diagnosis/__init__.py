@@ -96,7 +96,7 @@ def diagnose(
         tried, found = _look(space, without, seed, before, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
-    scatter = None if riddle or "unsettled" in without else scatter_of(space, seed)
+    scatter = None if riddle or "unsettled" in without else scatter_of(space, seed, any_way=True)
     space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
     answer, carried = _answer(space, tried, found, gross, None if scatter is None else scatter.finding, mistakes)
     answer["checks"] = before_and_after(space, seed)
@@ -112,10 +112,11 @@ def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | No
 def _look(
     space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], tell: Callable[[int], None]
 ) -> tuple[Tried, list[Found]]:
-    """before: what an earlier look found, whose moments and periods are tried more finely."""
+    """before: what an earlier look found, whose moments, periods and bands of waves are tried more finely."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
-    candidates = library(space.context, without, moments, periods) + nameless(space.context)
+    bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
+    candidates = library(space.context, without, moments, periods, bands) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.base.noise.repeatability, without)

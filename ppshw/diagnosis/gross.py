@@ -27,6 +27,7 @@ IN_BETWEEN, HEAVY = 1e-3, 0.02  # tails are heavy where so few visits of noise w
 TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's travel
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.001
+LITTLE = 0.05  # of the noise's variance: what swings less than that in a direction swings no less
 PERMUTATIONS = 1999
 SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
@@ -194,19 +195,60 @@ class Scatter:
     calming: Array
 
 
-def scatter_of(space: Workspace, seed: int) -> Scatter | None:
+def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | None:
     """Does the scatter grow with a short settling time, the load or the length of the move? By random exchange of whole
     visits; the weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001).
 
     The other way round nothing acts, but scatter that differs by pose looks so: sweeps are short moves in one place.
     What swings may be one link about one axis; where that is likelier than noise that grows in all directions, only
     that direction counts less.
+
+    any_way  also what swings in one direction alone, which is much of it and little of the whole: to be asked when
+             what is missing has been found, since a bias that grows with the load swings one way too
     """
     whitened = corrected_residual(space)[..., None]
     residual = np.asarray(np.linalg.solve(space.calming[space.fit], whitened), dtype=float)[..., 0]
-    r = space.recording
+    along = np.einsum("nij,njfc->nfci", np.linalg.solve(space.calming, space.root), space.context.jacobian)
+    columns = _may_scatter(space)
+    whole = np.stack(list(columns.values()), axis=1)
+    whole = whole - whole[space.fit].mean(axis=0)
+    whole = whole / np.maximum(np.linalg.norm(whole[space.fit], axis=0), 1e-30)
+    matrix = whole[space.fit]
+    sizes = _sizes(residual, along[space.fit])[:, : None if any_way else 1]
+    strength = matrix.T @ sizes
+    rng = np.random.default_rng(seed)
+    null = np.array([(matrix.T @ rng.permutation(sizes)).max() for _ in range(PERMUTATIONS)])
+    k, direction = (int(j) for j in np.unravel_index(int(np.argmax(strength)), strength.shape))
+    p = (1 + int((null >= strength[k, direction]).sum())) / (PERMUTATIONS + 1)
+    if p > SCATTER:
+        return None
+    name = _stem(list(columns)[k])
+    way = "falls" if name == "settle_s" else "grows"
     size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
-    size = size - size.mean()
+    evenly = float(matrix[:, k] @ size)  # as it would be with noise that grows alike in all directions
+    more = float(np.exp(np.ptp(matrix[:, k]) * evenly / 2))
+    finding: dict[str, Any] = {
+        "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
+        "region": None,
+        "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
+        "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
+        "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
+    }  # fmt: skip
+    spread = np.exp(whole[:, k] * evenly / 2)
+    alike = [size for column, size in columns.items() if _stem(column) == name]
+    swings = [_swing(space, along, residual, size - min(float(size.min()), 0.0)) for size in alike]
+    swing = max((found for found in swings if found is not None), key=lambda found: found.gain, default=None)
+    if swing is None or swing.gain - np.log(swing.tried) < _gain_of(space, residual, spread):
+        return Scatter(finding, np.eye(space.rows) / spread[:, None, None])
+    # which of several frames that move the end effector nearly alike is a guess, so no joint is named
+    said = {"frame": space.machine.frame_names[swing.frame], "component": COMPONENTS[swing.component]}
+    where = f"; it swings most nearly as {said['frame']} {said['component']} would: noise"
+    return Scatter({**finding, **said, "sentence": finding["sentence"].replace(": noise", where)}, swing.calming)
+
+
+def _may_scatter(space: Workspace) -> dict[str, Array]:
+    """What scatter may grow with, (N,) each."""
+    r = space.recording
     columns: dict[str, Array] = {}
     if np.isfinite(r.settle_s).all() and np.ptp(r.settle_s) > 0:
         for tau in (1.0, 3.0, 8.0):
@@ -219,43 +261,28 @@ def scatter_of(space: Workspace, seed: int) -> Scatter | None:
     moved = np.concatenate([np.zeros((1, r.q.shape[1])), np.abs(np.diff(r.q, axis=0) / span)])
     columns["move length"] = moved.max(axis=1)
     columns |= {f"move_{name}": moved[:, k] for k, name in enumerate(space.machine.joint_names) if moved[:, k].any()}
-    whole = np.stack(list(columns.values()), axis=1)
-    whole = whole - whole[space.fit].mean(axis=0)
-    whole = whole / np.maximum(np.linalg.norm(whole[space.fit], axis=0), 1e-30)
-    matrix = whole[space.fit]
-    strength = matrix.T @ size
-    rng = np.random.default_rng(seed)
-    null = np.array([(matrix.T @ rng.permutation(size)).max() for _ in range(PERMUTATIONS)])
-    k = int(np.argmax(strength))
-    p = (1 + int((null >= strength[k]).sum())) / (PERMUTATIONS + 1)
-    if p > SCATTER:
-        return None
-    name = _stem(list(columns)[k])
-    way = "falls" if name == "settle_s" else "grows"
-    more = float(np.exp(np.ptp(matrix[:, k]) * strength[k] / 2))
-    finding: dict[str, Any] = {
-        "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
-        "region": None,
-        "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
-        "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
-        "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
-    }  # fmt: skip
-    spread = np.exp(whole[:, k] * strength[k] / 2)
-    alike = [size for column, size in columns.items() if _stem(column) == name]
-    along = np.einsum("nij,njfc->nfci", np.linalg.solve(space.calming, space.root), space.context.jacobian)
-    swings = [_swing(space, along, residual, size - min(float(size.min()), 0.0)) for size in alike]
-    swing = max((found for found in swings if found is not None), key=lambda found: found.gain, default=None)
-    if swing is None or swing.gain - np.log(swing.tried) < _gain_of(space, residual, spread):
-        return Scatter(finding, np.eye(space.rows) / spread[:, None, None])
-    # which of several frames that move the end effector nearly alike is a guess, so no joint is named
-    said = {"frame": space.machine.frame_names[swing.frame], "component": COMPONENTS[swing.component]}
-    where = f"; it swings most nearly as {said['frame']} {said['component']} would: noise"
-    return Scatter({**finding, **said, "sentence": finding["sentence"].replace(": noise", where)}, swing.calming)
+    rings = [column for column in columns if " exp" in column]
+    for name in [name for name in columns if name.startswith("move")]:  # what rings after a long move
+        columns |= {f"{name} x {ring}": columns[name] * columns[ring] for ring in rings}
+    return columns
+
+
+def _sizes(residual: Array, along: Array) -> Array:
+    """(F, 1 + D) log mean squares of residuals (F, 3T), white but for the scatter, in all directions and in the D
+    that a frame's component moves (F, n+1, 6, 3T), less their means and in units of their spread."""
+    moved = along.reshape(len(along), -1, along.shape[3])
+    square = np.einsum("fdi,fi->fd", moved, residual) ** 2
+    length = (moved**2).sum(axis=2)
+    there = length.min(axis=0) > 1e-9 * length.max()
+    every = np.column_stack([(residual**2).mean(axis=1), square[:, there] / length[:, there]])
+    sizes = np.log(every + LITTLE)
+    sizes -= sizes.mean(axis=0)
+    return np.asarray(sizes / np.maximum(sizes.std(axis=0), 1e-12))
 
 
 def _stem(column: str) -> str:
     """The recording's column, whatever function of it."""
-    return column.removesuffix(" squared").split(" exp")[0]
+    return column.split(" x ", maxsplit=1)[0].removesuffix(" squared").split(" exp")[0]
 
 
 @dataclass(frozen=True)

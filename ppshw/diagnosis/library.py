@@ -79,7 +79,7 @@ def all_kept() -> Iterator[None]:
 @all_kept()
 def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
-    periods: Sequence[tuple[str, float]] = (),
+    periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -87,6 +87,7 @@ def library(
     moments  at which something seems to have happened [h]: what is tried at MOMENTS moments of a recording is tried
              between all visits about them
     periods  of joints that seem to have a wave: what is tried at half waves over the travel is tried between them
+    bands    of waves without a name that seem to be there across a joint's own direction: one of them may be all of it
     """
     makers = (
         _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
@@ -94,7 +95,7 @@ def library(
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
     found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
-    found += _periodic(c, periods)
+    found += [*_periodic(c, periods), *_periodic_across(bands)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
@@ -179,7 +180,16 @@ def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
             yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
             yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
-        for comp in range(6):  # goes one way, then another
+        both = [
+            tuple(
+                Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
+                for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in range(count)
+            )
+            for count in (3, 6)
+        ]  # fmt: skip
+        for turns in both:  # goes one way, then another
+            yield Candidate("drift", None, "base", None, "time", turns, {"time_h": moment}, 0.3 / len(moments))
+        for comp in range(6):
             turns = tuple(
                 Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
                 for form, tau in (("linear", 1.0), ("ramp", moment))
@@ -241,6 +251,24 @@ def _periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candid
             )  # fmt: skip
 
 
+def _periodic_across(bands: Sequence[Candidate]) -> Iterator[Candidate]:
+    """A bent screw or shaft turns the carriage about: single waves out of bands of them."""
+    for band in bands:
+        first = band.columns[0]
+        joint, frequencies = first.args["joint"], sorted({1 / column.args["period"] for column in band.columns})
+        step = (frequencies[-1] - frequencies[0]) / (len(frequencies) - 1) / 4
+        tried = np.arange(frequencies[0] - 2 * step, frequencies[-1] + 3 * step, step)
+        for period in map(float, 1 / tried[tried > 0]):
+            pair = tuple(
+                Column("frame", "wave", {"joint": joint, "period": period, "phase": p}, first.frame, first.component)
+                for p in ("sin", "cos")
+            )
+            yield Candidate(
+                "periodic_transmission", band.frame, band.frame, band.component, band.covariate, pair,
+                {"period": period}, share=1.0 / len(tried),
+            )  # fmt: skip
+
+
 def loads_on(c: Context, frame: int) -> list[int]:
     """Wrench components that really vary on a frame: a constant load says nothing."""
     w = c.wrenches[:, frame]
@@ -261,7 +289,7 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
         for b in acting:
             where = {"frame": frame, "component": b}
             # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
-            powers = ((0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
+            powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
             shapes = [("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers]
             shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w), 2 / len(TAKEN_UP)) for w in TAKEN_UP]
             for function, args, shape, share in shapes:
@@ -387,6 +415,9 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j}) for j in range(1, 5)
         )
         yield Candidate("wrench_error", None, None, None, "time", waves, share=0.5)
+        for bent in ("odd", "even"):
+            curve = Column("frames", "sensor_error", {"component": comp, "source": comp, "bent": bent})
+            yield Candidate(*where, (curve,), share=0.5)
         for source in range(6):
             args = {"component": comp, "source": source}
             yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)

@@ -144,6 +144,8 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
         names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
         units = [_per_load(unit, candidate.covariate)] * len(values)
+    elif candidate.effect == "wrench_error":
+        units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap"]
     elif candidate.effect == "creep":
@@ -158,6 +160,20 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     for name, value in candidate.shape.items():
         out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit, candidate.covariate)}
     return out
+
+
+def _misread(args: Mapping[str, Any]) -> str:
+    """Unit of what a force sensor reads too little: a load, per hour or kelvin; a share of a reading, per load where it
+    grows with it."""
+    of, source = args["component"], args.get("source", -1)
+    if of < 0:
+        return "1"
+    unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
+    if source < 0:
+        return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit
+    if args.get("bent"):
+        return _per_load("1", WRENCH_COMPONENTS[source])
+    return "1" if unit == by else _per_load(unit, WRENCH_COMPONENTS[source])
 
 
 def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:

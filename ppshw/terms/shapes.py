@@ -577,15 +577,18 @@ def body_weight(c: Context, joint: int, what: str) -> Array:
 
 
 def sensor_error(
-    c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0
+    c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0, bent: str = ""
 ) -> Array:
     """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time (form
     and tau of `clock`), or with a temperature (lagged by tau hours).
 
     component  −1: all six, each by its own reading (gain)
+    bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load
     """
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
+    if bent:
+        size = size * (np.abs(size) if bent == "odd" else size)
     if time:
         size = size * clock(c, time, tau or 1.0)
     if place:

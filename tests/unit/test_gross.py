@@ -126,6 +126,29 @@ def test_what_swings_under_load_is_calmed_in_its_own_direction_alone(clean: Work
     assert checks["before"]["scatter_load"] <= 0.005 < checks["after"]["scatter_load"]
 
 
+def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clean: Workspace) -> None:
+    """Too little of the whole to show there; and a link that rings after long moves that nobody waited for."""
+    rng = np.random.default_rng(7)
+    frame = clean.machine.frame_names.index("longitudinal")
+    arms = clean.context.jacobian[:, :, frame, 3]
+    swing = arms * (_load(clean) * rng.normal(size=len(arms)))[:, None]
+    shaken = _noisier(clean, swing * 2.5e-5 / np.sqrt((swing**2).sum() / clean.recording.seen.sum()))
+    assert scatter_of(clean, 0, any_way=True) is None
+    assert scatter_of(shaken, 0) is None
+    found = scatter_of(shaken, 0, any_way=True)
+    assert found is not None
+    assert found.finding["covariate"] == "load"
+
+    yaw = clean.machine.joint_names.index("yaw")
+    moved = np.concatenate([[0.0], np.abs(np.diff(clean.recording.q[:, yaw]))])
+    ring = clean.context.jacobian[:, :, yaw + 1, 4]
+    ring = ring * (moved * np.exp(-clean.recording.settle_s / 3.0) * rng.normal(size=len(ring)))[:, None]
+    rings = _noisier(clean, ring * 3e-5 / np.sqrt((ring**2).sum() / clean.recording.seen.sum()))
+    found = scatter_of(rings, 0, any_way=True)
+    assert found is not None
+    assert found.finding["covariate"] in ("move_yaw", "move length")
+
+
 def test_noise_that_grows_in_all_directions_is_calmed_in_all(clean: Workspace) -> None:
     rng = np.random.default_rng(6)
     white = rng.normal(size=clean.data.shape) * 3.0 * _load(clean)[:, None]
