@@ -299,18 +299,24 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
-            for knee in _knees(c, frame, b):
+            for knees, width in _knees(c, frame, b):
+                columns = tuple(
+                    Column("frame", "load_knee", {**where, "at": at, "width": width}, frame, b) for at in knees
+                )
+                shape = dict(zip(("knee_load", "other_knee_load"), knees, strict=False))
                 yield Candidate(
-                    "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b],
-                    (Column("frame", "load_knee", {**where, **knee}, frame, b),), {"knee_load": knee["at"]}, 0.2,
-                )  # fmt: skip
+                    "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], columns, shape, 0.2
+                )
 
 
-def _knees(c: Context, frame: int, component: int) -> list[dict[str, float]]:
-    """Loads above which a link may be stiffer or softer than below, and over how much it changes [N, N m]."""
+def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float, ...], float]]:
+    """Loads above which a link may be stiffer or softer than below, one, or two as where a bolted flange opens either
+    way; and over how much it changes [N, N m]."""
     w = c.wrenches[:, frame, component]
-    widths = ROUNDED * float(w.std())
-    return [{"at": float(at), "width": float(width)} for at in np.quantile(w, KNEES_AT) for width in widths]
+    at = [float(load) for load in np.quantile(w, KNEES_AT)]
+    for width in ROUNDED * float(w.std()):
+        yield from (((one,), float(width)) for one in at)
+        yield from ((pair, float(width)) for pair in zip(at[:2], at[:2:-1], strict=True))
 
 
 def _of_load(c: Context, frame: int, component: int, width: float) -> dict[str, float]:

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, Name, Tried, corrected_residual, p_value
 from ppshw.diagnosis.forms import near_forms
-from ppshw.diagnosis.kinship import of_its_kind
+from ppshw.diagnosis.kinship import counts, of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -28,8 +28,9 @@ MOST_FINDINGS = 5
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
 # Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
 SAME_EFFECT = 0.5
-# At another joint it is so only where hardly anything speaks against it: play in one drive makes none of another's
-# friction play (backlash 239.5 where friction said 276.0, in a case of both).
+# In another component, or at another joint, it is so only where hardly anything speaks against it: play in one drive
+# makes none of another's friction play (backlash 239.5 where friction said 276.0, in a case of both), and clearance
+# about one axis no stiffness about another clearance (430 and 446).
 ELSEWHERE = 10.0
 # Weights of names are tempered: forms of real machines differ from the library's by a share of what they explain, so
 # evidence overstates, the more of it there is: E counts as E / (1 + max E / TEMPER). 100 to 300 made the true names of
@@ -183,7 +184,8 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[f
     others = np.array([
         j for j in np.flatnonzero(tried.name_of == freely) if not of_its_kind(mine, tried.candidates[j])
     ])  # fmt: skip
-    weighed = evidence[others] + tried.log_share[others]
+    counted = np.array([counts(mine, tried.candidates[j]) for j in others])
+    weighed = counted * evidence[others] + tried.log_share[others]
     said = float(logsumexp(weighed))
     return HANDICAP * said if said > 0 else said, int(others[np.argmax(weighed)])
 
@@ -332,7 +334,7 @@ def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
     """The best candidate of the best name of the likeliest effect, and the name's evidence.
 
     found  what a form left of these goes to the same effect, if that explains most of it; but what happened at another
-           moment is something else, and at another joint what is far behind
+           moment is something else, and in another component what is far behind
     """
     evidence, names = _names(tried)
     chosen = tried.likeliest(names)
@@ -342,12 +344,18 @@ def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
         again = tried.candidates[_strongest(tried, evidence, int(j))]
         near = names[j] > names[chosen] - ELSEWHERE
         if any(
-            _of_same_effect(tried, again, other) and (near or again.joint == other.joint)
+            _of_same_effect(tried, again, other) and (near or _at_its_place(again, other))
             for other in (tried.candidates[f.best] for f in found)
         ):
             chosen = int(j)
             break
     return _strongest(tried, evidence, chosen), float(names[chosen])
+
+
+def _at_its_place(one: Candidate, other: Candidate) -> bool:
+    """Whether both are of the same joint and its same component; what moves several or sits in no joint is anywhere."""
+    anywhere = one.joint is None or None in (one.component, other.component)
+    return one.joint == other.joint and (anywhere or one.component == other.component)
 
 
 def _of_same_effect(tried: Tried, one: Candidate, other: Candidate) -> bool:

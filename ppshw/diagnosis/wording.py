@@ -185,7 +185,7 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
 
 
 def _shape_unit(name: str, unit: str, covariate: str) -> str:
-    if name in ("load_width", "knee_load"):
+    if name.endswith(("load_width", "knee_load")):
         return _load_unit(covariate)
     return "h" if name.endswith("_h") else unit if name == "width" else "1"
 

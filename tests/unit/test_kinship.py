@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ppshw.diagnosis.kinship import of_its_kind
+from ppshw.diagnosis.kinship import AKIN, counts, of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.terms.shapes import Column
 
@@ -50,9 +50,27 @@ def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
     assert not of_its_kind(named, stranger)
 
 
-@pytest.mark.parametrize("effect", ["clearance", "nonlinear_stiffness", "backlash", "friction_hysteresis"])
+@pytest.mark.parametrize("effect", ["clearance", "backlash", "friction_hysteresis"])
 def test_neighbours_that_are_each_other_s_rivals_have_no_kin(effect: str) -> None:
     """Any function of a load is as much a clearance as a stiffness: which it is its form must say."""
     named = _named(effect, "yaw", "yaw", "rx", "Mx")
-    assert not of_its_kind(named, _rival("yaw", "rx", "on_yaw_Mx", function="load_bump"))
+    for function in ("load_bump", "load_legendre"):
+        rival = _rival("yaw", "rx", "on_yaw_Mx", function=function)
+        assert not of_its_kind(named, rival)
+        assert counts(named, rival) == 1.0
     assert not of_its_kind(named, _rival("yaw", "rx", "approach_yaw", function="approach"))
+
+
+def test_a_smooth_function_of_its_own_load_is_stiffness_and_one_that_is_fine_at_zero_nearly() -> None:
+    named = _named("nonlinear_stiffness", "yaw", "yaw", "rx", "Mx")
+    assert of_its_kind(named, _rival("yaw", "rx", "on_yaw_Mx", function="load_legendre"))
+    sharp = _rival("yaw", "rx", "on_yaw_Mx", function="load_bump")
+    assert not of_its_kind(named, sharp)
+    assert counts(named, sharp) == AKIN < 1.0
+    for elsewhere in (
+        _rival("roll", "rx", "on_roll_Mx", function="load_legendre"),
+        _rival("yaw", "rx", "on_yaw_Mx", "previous_on_yaw_Mx", function="load_slip"),
+        _rival("yaw", "rx", "on_yaw_Mz", function="load_legendre"),
+    ):
+        assert not of_its_kind(named, elsewhere)
+        assert counts(named, elsewhere) == 1.0

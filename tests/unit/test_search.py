@@ -325,7 +325,7 @@ def test_what_sits_in_no_one_joint_for_sure_is_no_less_likely_for_it(space: Work
 def test_play_in_another_drive_does_not_make_friction_play(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
 ) -> None:
-    """Play found in one joint; in another friction says 99, and play less."""
+    """Play found in one joint; in another friction says 99, and play less. So with clearance about another axis."""
     some = _named(space, "backlash", "friction_hysteresis")
     tried = Tried(space, some, 5e-5)
     there = next(j for j, k in enumerate(some) if k.effect == "backlash" and k.joint == "yaw")
@@ -335,6 +335,24 @@ def test_play_in_another_drive_does_not_make_friction_play(
     monkeypatch.setattr(module, "_names", lambda _: (np.zeros(len(some)), names))
     best = module._best(tried, [Found(there, ("backlash", "yaw"), 0.0, 400.0, first=400.0)])[0]
     assert (some[best].effect, some[best].joint) == (wanted, NAME)
+
+
+@pytest.mark.parametrize(("said", "wanted"), [(94.0, "clearance"), (85.0, "nonlinear_stiffness")])
+def test_clearance_about_one_axis_does_not_make_stiffness_about_another_clearance(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
+) -> None:
+    some = [k for k in _named(space, "clearance", "nonlinear_stiffness") if k.joint == "yaw"]
+    tried = Tried(space, some, 5e-5)
+    about = {(k.effect, k.component): j for j, k in enumerate(some)}
+    loud = [about[effect, "rz"] for effect in ("clearance", "nonlinear_stiffness")]
+    evidence = np.where(np.isin(np.arange(len(some)), loud), 50.0, 0.0)
+    names = np.array([{"nonlinear_stiffness": 99.0}.get(effect, said) for effect, _ in tried.names])
+    monkeypatch.setattr(module, "_names", lambda _: (evidence, names))
+    found = Found(about["clearance", "rx"], ("clearance", "yaw"), 0.0, 400.0, first=400.0)
+    assert some[module._best(tried, [found])[0]].effect == wanted
+    found.best = about["clearance", "rz"]
+    assert some[module._best(tried, [found])[0]].effect == "clearance"
+
 
 
 def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
