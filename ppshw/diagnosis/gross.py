@@ -215,6 +215,8 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | 
     whole = whole / np.maximum(np.linalg.norm(whole[space.fit], axis=0), 1e-30)
     matrix = whole[space.fit]
     sizes = _sizes(residual, along[space.fit])[:, : None if any_way else 1]
+    ranges = sizes.std(axis=0)
+    sizes = sizes / np.maximum(ranges, 1e-12)
     strength = matrix.T @ sizes
     rng = np.random.default_rng(seed)
     null = np.array([(matrix.T @ rng.permutation(sizes)).max() for _ in range(PERMUTATIONS)])
@@ -224,9 +226,7 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | 
         return None
     name = _stem(list(columns)[k])
     way = "falls" if name == "settle_s" else "grows"
-    size = np.log(np.maximum((residual**2).mean(axis=1), 1e-12))
-    evenly = float(matrix[:, k] @ size)  # as it would be with noise that grows alike in all directions
-    more = float(np.exp(np.ptp(matrix[:, k]) * evenly / 2))
+    more = float(np.exp(np.ptp(matrix[:, k]) * strength[k, direction] * ranges[direction] / 2))
     finding: dict[str, Any] = {
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
@@ -234,6 +234,7 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | 
         "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
         "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
+    evenly = strength[k, 0] * ranges[0]  # as it would be with noise that grows alike in all directions
     spread = np.exp(whole[:, k] * evenly / 2)
     alike = [size for column, size in columns.items() if _stem(column) == name]
     swings = [_swing(space, along, residual, size - min(float(size.min()), 0.0)) for size in alike]
@@ -269,15 +270,14 @@ def _may_scatter(space: Workspace) -> dict[str, Array]:
 
 def _sizes(residual: Array, along: Array) -> Array:
     """(F, 1 + D) log mean squares of residuals (F, 3T), white but for the scatter, in all directions and in the D
-    that a frame's component moves (F, n+1, 6, 3T), less their means and in units of their spread."""
+    that a frame's component moves (F, n+1, 6, 3T), less their means."""
     moved = along.reshape(len(along), -1, along.shape[3])
     square = np.einsum("fdi,fi->fd", moved, residual) ** 2
     length = (moved**2).sum(axis=2)
     there = length.min(axis=0) > 1e-9 * length.max()
     every = np.column_stack([(residual**2).mean(axis=1), square[:, there] / length[:, there]])
     sizes = np.log(every + LITTLE)
-    sizes -= sizes.mean(axis=0)
-    return np.asarray(sizes / np.maximum(sizes.std(axis=0), 1e-12))
+    return np.asarray(sizes - sizes.mean(axis=0))
 
 
 def _stem(column: str) -> str:

@@ -49,5 +49,6 @@ def counts(named: Candidate, rival: Candidate) -> float:
 
 
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:
+    """Whether a rival is a function of the very load that the name goes with, at the very place."""
     here = (named.frame, named.component) == (rival.frame, rival.component)
     return here and rival.covariates == (f"on_{named.frame}_{named.covariate}",)

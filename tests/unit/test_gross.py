@@ -138,6 +138,7 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
     found = scatter_of(shaken, 0, any_way=True)
     assert found is not None
     assert found.finding["covariate"] == "load"
+    assert found.finding["parameters"]["scatter_ratio"]["value"] > 1.2
 
     yaw = clean.machine.joint_names.index("yaw")
     moved = np.concatenate([[0.0], np.abs(np.diff(clean.recording.q[:, yaw]))])
