@@ -32,6 +32,7 @@ LEAST_SHARE = 3e-4
 # better explanation: real forms differ from the library's by this share of the evidence or so (a guess, seen to be
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
+NEARLY_A_TIE = 0.5  # of log evidence
 ROUNDING = 1e-9  # of a Cholesky factor's diagonal
 CHUNK = 512  # candidates at a time
 Name = tuple[str, str | None]
@@ -213,8 +214,9 @@ class Tried:
 
     def likeliest(self, names: Array) -> int:
         """The best name of the effect that the evidence of all names (names,) speaks for: what cannot be told to sit in
-        one joint or the next is no less likely for it."""
-        said = [np.logaddexp.reduce(names[self._effect_of == e]) for e in range(int(self._effect_of.max()) + 1)]
+        one joint or the next is no less likely for it. The best name itself where that is nearly a tie."""
+        said = np.array([np.logaddexp.reduce(names[self._effect_of == e]) for e in range(self._effect_of.max() + 1)])
+        said[self._effect_of[np.argmax(names)]] += NEARLY_A_TIE
         return int(np.argmax(np.where(self._effect_of == int(np.argmax(said)), names, -np.inf)))
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
