@@ -144,12 +144,12 @@ class Foresight:
 def foresee(plan: Plan, most: int = 12) -> Foresight:
     """Lay the library over a plan. most: forms of each name that are tried."""
     recording = would_be(plan)
-    space = laid_out(typical_of(plan.machine, recording, _point(plan.machine)), recording)
+    space = laid_out(typical_of(plan.machine, recording, plan.machine.point(plan.machine.where_it_counts)), recording)
     found = foreseen(space, most)
     if not any(entry["blind"] for entry in found.rows):
         return found
     best = anything(plan)
-    space = laid_out(typical_of(plan.machine, best, _point(plan.machine)), best)
+    space = laid_out(typical_of(plan.machine, best, plan.machine.point(plan.machine.where_it_counts)), best)
     never = [(e["effect"], e["joint"]) for e in foreseen(space, most).rows if e["blind"]]
     return replace(found, never=frozenset(never))
 
@@ -263,10 +263,6 @@ def approaches(q: Array, via: Array) -> NDArray[np.int64]:
             here = there
         out[k] = last
     return out
-
-
-def _point(machine: Machine) -> Array:
-    return machine.point(machine.where_it_counts)
 
 
 def _expected(machine: Machine) -> Iterable[Name]:

@@ -17,8 +17,7 @@ from ppshw.terms.shapes import Column, Context
 OF_CLASS = {
     "approach": "backlash", "approach_q": "backlash",
     "slipping": "friction_hysteresis", "winding": "friction_hysteresis",
-    "load_power": "nonlinear_stiffness", "load_knee": "nonlinear_stiffness",
-    "load_side": "clearance", "load_side_held": "clearance",
+    "load_power": "nonlinear_stiffness", "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
 WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
 STEPS = 12  # moments in the recording at which something may go on that began as a jump

@@ -95,7 +95,7 @@ def library(
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
     found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
-    found += [*_periodic(c, periods), *_periodic_across(bands)]
+    found += [*_periodic(c, periods), *_periodic_across(c, bands)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
@@ -180,22 +180,14 @@ def _drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
             yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
             yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
-        both = [
-            tuple(
-                Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
-                for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in range(count)
-            )
-            for count in (3, 6)
-        ]  # fmt: skip
-        for turns in both:  # goes one way, then another
-            yield Candidate("drift", None, "base", None, "time", turns, {"time_h": moment}, 0.3 / len(moments))
-        for comp in range(6):
+        every: list[tuple[range, str | None, float]] = [(range(3), None, 0.3), (range(6), None, 0.3)]
+        every += [(range(comp, comp + 1), COMPONENTS[comp], 0.1) for comp in range(6)]
+        for comps, said, share in every:  # goes one way, then another
             turns = tuple(
                 Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
-                for form, tau in (("linear", 1.0), ("ramp", moment))
-            )
-            where = ("drift", None, "base", COMPONENTS[comp], "time")
-            yield Candidate(*where, turns, {"time_h": moment}, 0.1 / len(moments))
+                for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in comps
+            )  # fmt: skip
+            yield Candidate("drift", None, "base", said, "time", turns, {"time_h": moment}, share / len(moments))
     for order in (2, 3, 4):
         waves = [
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
@@ -242,31 +234,29 @@ def _periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candid
         near = [2 * span / period + np.array(FINER) for joint_name, period in about if joint_name == name]
         periods = 2 * span / np.unique(np.round(np.concatenate([half_waves, *near]), 3))
         own = own_component(c, k)
-        for period in periods:
-            args = {"joint": k, "period": float(period)}
-            pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, own) for p in ("sin", "cos"))
-            yield Candidate(
-                "periodic_transmission", name, name, COMPONENTS[own], f"q_{name}", pair, {"period": float(period)},
-                share=1.0 / len(periods),
-            )  # fmt: skip
+        yield from _single_waves(c, k, own, list(map(float, periods)))
 
 
-def _periodic_across(bands: Sequence[Candidate]) -> Iterator[Candidate]:
+def _periodic_across(c: Context, bands: Sequence[Candidate]) -> Iterator[Candidate]:
     """A bent screw or shaft turns the carriage about: single waves out of bands of them."""
     for band in bands:
-        first = band.columns[0]
-        joint, frequencies = first.args["joint"], sorted({1 / column.args["period"] for column in band.columns})
+        frequencies = sorted({1 / column.args["period"] for column in band.columns})
         step = (frequencies[-1] - frequencies[0]) / (len(frequencies) - 1) / 4
         tried = np.arange(frequencies[0] - 2 * step, frequencies[-1] + 3 * step, step)
-        for period in map(float, 1 / tried[tried > 0]):
-            pair = tuple(
-                Column("frame", "wave", {"joint": joint, "period": period, "phase": p}, first.frame, first.component)
-                for p in ("sin", "cos")
-            )
-            yield Candidate(
-                "periodic_transmission", band.frame, band.frame, band.component, band.covariate, pair,
-                {"period": period}, share=1.0 / len(tried),
-            )  # fmt: skip
+        first = band.columns[0]
+        yield from _single_waves(c, first.args["joint"], first.component, list(map(float, 1 / tried[tried > 0])))
+
+
+def _single_waves(c: Context, k: int, component: int, periods: Sequence[float]) -> Iterator[Candidate]:
+    """Of joint k's position, in one component of its frame; shares alike."""
+    name = c.machine.joint_names[k]
+    for period in periods:
+        args = {"joint": k, "period": period}
+        pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, component) for p in ("sin", "cos"))
+        yield Candidate(
+            "periodic_transmission", name, name, COMPONENTS[component], f"q_{name}", pair, {"period": period},
+            share=1.0 / len(periods),
+        )  # fmt: skip
 
 
 def loads_on(c: Context, frame: int) -> list[int]:
@@ -316,7 +306,7 @@ def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float
     at = [float(load) for load in np.quantile(w, KNEES_AT)]
     for width in ROUNDED * float(w.std()):
         yield from (((one,), float(width)) for one in at)
-        yield from ((pair, float(width)) for pair in zip(at[:2], at[:2:-1], strict=True))
+        yield from ((pair, float(width)) for pair in ((at[0], at[-1]), (at[1], at[-2])))
 
 
 def _of_load(c: Context, frame: int, component: int, width: float) -> dict[str, float]:

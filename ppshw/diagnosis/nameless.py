@@ -191,11 +191,12 @@ def _reversals(c: Context) -> Iterator[Candidate]:
             yield _nameless(c, frame, comp, (came, way), [
                 Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
             ])  # fmt: skip
+        own = own_component(c, k)
         for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
             both = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
-            yield _nameless(c, k + 1, own_component(c, k), (came, other), [
-                Column("frame", "approach", {"joint": k}, k + 1, own_component(c, k)),
-                Column("frame", "covariate_pair", both, k + 1, own_component(c, k)),
+            yield _nameless(c, k + 1, own, (came, other), [
+                Column("frame", "approach", {"joint": k}, k + 1, own),
+                Column("frame", "covariate_pair", both, k + 1, own),
             ])  # fmt: skip
         for comp in set(range(6)) - {own_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
             side = Column("frame", "approach", {"joint": k}, k + 1, comp)

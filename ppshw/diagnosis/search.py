@@ -355,7 +355,7 @@ def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:
 def _at_its_place(one: Candidate, other: Candidate) -> bool:
     """Whether both are of the same joint and its same component; what moves several or sits in no joint is anywhere."""
     anywhere = one.joint is None or None in (one.component, other.component)
-    return one.joint == other.joint and (anywhere or one.component == other.component)
+    return one.joint == other.joint and (anywhere or _same_place(one, other))
 
 
 def _of_same_effect(tried: Tried, one: Candidate, other: Candidate) -> bool:

@@ -92,12 +92,19 @@ def _load(space: Workspace) -> np.ndarray:
     return np.asarray(load / load.max())
 
 
+def _swinging(
+    clean: Workspace, arms: np.ndarray, size: np.ndarray, rms: float, rng: np.random.Generator
+) -> Workspace:  # fmt: skip
+    """What moves the reflectors by `arms` (N, 3T) swings in proportion to `size` (N,); rms at the reflectors [m]."""
+    swing = arms * (size * rng.normal(size=len(arms)))[:, None]
+    return _noisier(clean, swing * rms / np.sqrt((swing**2).sum() / clean.recording.seen.sum()))
+
+
 def test_what_swings_under_load_is_calmed_in_its_own_direction_alone(clean: Workspace) -> None:
     rng = np.random.default_rng(5)
     frame = clean.machine.frame_names.index("longitudinal")
     arms = clean.context.jacobian[:, :, frame, 3]
-    swing = arms * (_load(clean) * rng.normal(size=len(arms)))[:, None]
-    shaken = _noisier(clean, swing * 6e-5 / np.sqrt((swing**2).sum() / clean.recording.seen.sum()))
+    shaken = _swinging(clean, arms, _load(clean), 6e-5, rng)
     assert scatter_of(clean, 0) is None
     found = scatter_of(shaken, 0)
     assert found is not None
@@ -130,9 +137,7 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
     """Too little of the whole to show there; and a link that rings after long moves that nobody waited for."""
     rng = np.random.default_rng(7)
     frame = clean.machine.frame_names.index("longitudinal")
-    arms = clean.context.jacobian[:, :, frame, 3]
-    swing = arms * (_load(clean) * rng.normal(size=len(arms)))[:, None]
-    shaken = _noisier(clean, swing * 2.5e-5 / np.sqrt((swing**2).sum() / clean.recording.seen.sum()))
+    shaken = _swinging(clean, clean.context.jacobian[:, :, frame, 3], _load(clean), 2.5e-5, rng)
     assert scatter_of(clean, 0, any_way=True) is None
     assert scatter_of(shaken, 0) is None
     found = scatter_of(shaken, 0, any_way=True)
@@ -142,9 +147,8 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
 
     yaw = clean.machine.joint_names.index("yaw")
     moved = np.concatenate([[0.0], np.abs(np.diff(clean.recording.q[:, yaw]))])
-    ring = clean.context.jacobian[:, :, yaw + 1, 4]
-    ring = ring * (moved * np.exp(-clean.recording.settle_s / 3.0) * rng.normal(size=len(ring)))[:, None]
-    rings = _noisier(clean, ring * 3e-5 / np.sqrt((ring**2).sum() / clean.recording.seen.sum()))
+    waited = moved * np.exp(-clean.recording.settle_s / 3.0)
+    rings = _swinging(clean, clean.context.jacobian[:, :, yaw + 1, 4], waited, 3e-5, rng)
     found = scatter_of(rings, 0, any_way=True)
     assert found is not None
     assert found.finding["covariate"] in ("move_yaw", "move length")

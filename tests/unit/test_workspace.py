@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.wording import column_of, history_of, sentence
+from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence
 from ppshw.diagnosis.workspace import CAUTION, STANDS_OUT, Workspace, caution_of, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
@@ -87,6 +87,54 @@ def test_a_wave_that_was_found_is_sought_between_its_neighbours_too(space: Works
     fine, waves = best(((name, 2 * span / waves),))
     assert abs(waves - 40.5) <= 0.11
     assert fine > 1.05 * coarse
+
+
+def test_a_band_of_waves_across_a_joint_is_searched_for_a_single_one(space: Workspace) -> None:
+    c, k = space.context, space.machine.joint_names.index("j4")
+    across = next(
+        b for b in nameless(c)
+        if all(column.function == "wave" for column in b.columns) and (b.frame, b.component) == ("j4", "ty")
+    )  # fmt: skip
+    longest, shortest = (sign * max(sign * column.args["period"] for column in across.columns) for sign in (1, -1))
+    single = [x for x in library(c, bands=[across]) if x.effect == "periodic_transmission" and x.component == "ty"
+              and x.joint == "j4"]  # fmt: skip
+    assert len(single) > 10
+    assert all((column.frame, column.component) == (k + 1, 1) for x in single for column in x.columns)
+    periods = sorted(x.shape["period"] for x in single)
+    assert periods[0] < shortest < longest < periods[-1]
+    travel = float(np.ptp(space.recording.q[:, k]))
+    assert np.diff(1 / np.array(periods[::-1])).max() < 0.26 / travel  # quarter waves over the travel
+    assert not [x for x in library(c) if x.effect == "periodic_transmission" and x.component == "ty"
+                and x.joint == "j4"]  # fmt: skip
+    assert not [x for x in library(c, frozenset({"periodic_transmission"}), bands=[across])
+                if x.effect == "periodic_transmission"]  # fmt: skip
+
+
+def test_a_sensor_whose_gain_changes_with_the_load_is_off_by_its_square_with_or_without_its_sign(
+    space: Workspace,
+) -> None:
+    def moved(bent: str, times: float) -> np.ndarray:
+        recording = replace(space.recording, wrench=times * space.recording.wrench)
+        column = Column("frames", "sensor_error", {"component": 1, "source": 1, "bent": bent})
+        return column.evaluate(replace(space.context, recording=recording))
+
+    for bent, back in (("odd", -4.0), ("even", 4.0)):
+        assert np.abs(moved(bent, 1.0)).max() > 0
+        assert np.allclose(moved(bent, -2.0), back * moved(bent, 1.0))
+
+
+def test_what_a_sensor_misreads_is_said_in_the_units_of_its_components(space: Workspace) -> None:
+    units = {
+        (k.columns[0].args["component"], k.columns[0].args.get("source", -1), k.columns[0].args.get("bent", ""),
+         "place" in k.columns[0].args): parameters_of(k, np.ones(len(k.columns)), np.ones(len(k.columns)))
+        for k in library(space.context) if k.effect == "wrench_error" and len(k.columns) == 1
+        and "time" not in k.columns[0].args
+    }  # fmt: skip
+    said = {what: next(iter(values.values()))["unit"] for what, values in units.items()}
+    assert (said[0, -1, "", False], said[4, -1, "", False]) == ("N", "N m")
+    assert (said[0, -1, "", True], said[4, -1, "", True]) == ("N/K", "N m/K")
+    assert (said[4, 4, "", False], said[-1, -1, "", False], said[3, 0, "", False]) == ("1", "1", "N m/N")
+    assert (said[1, 1, "odd", False], said[5, 5, "even", False]) == ("1/N", "1/(N m)")
 
 
 def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -> None:
