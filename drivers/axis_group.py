@@ -198,9 +198,11 @@ class Cia402Group:
 
     def _exchange(self, expect_enabled: bool = True) -> None:
         """Fresh process data from every axis, or the reason why not."""
-        silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
-        self._raise_trouble()
         axes = self._axes.values()
+        silent = self._bus.exchange([axis.node_id for axis in axes])
+        self._raise_trouble()
+        if len(silent) > 1:
+            silent = self._still_silent(silent)
         self._raise_silence({a.name: a.silent_after_sync() for a in axes if a.node_id in silent})
         self._raise_silence({a.name: s for a in axes if (s := a.silence())})
         if not expect_enabled:
@@ -211,6 +213,12 @@ class Cia402Group:
             state = _snapshot(axis).state
             if state is not State.OPERATION_ENABLED:
                 raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
+
+    def _still_silent(self, silent: set[int]) -> set[int]:
+        """Of several nodes that did not answer, those that do not answer now either: one that was only late shall not
+        be named in the place of one that is gone. Nothing is forgiven for it: all is stopped first."""
+        self._stop_at_once()
+        return self._bus.exchange(silent) or silent
 
     # moving
 

@@ -46,6 +46,7 @@ class CanopenNode:
         self.lock = threading.RLock()
         self.lies: dict[tuple[int, int], int] = {}
         self.online = False
+        self.late = 0  # so many SYNCs it will be too busy to answer
         self._network = network
         self._beat_series = 0
         self._pdos: dict[bool, list[_Pdo]] | None = None  # transmit? → enabled PDOs; None: mapping was written
@@ -180,6 +181,9 @@ class CanopenNode:
     def _on_sync(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """Inputs are sampled and sent first, then what came since the last SYNC takes effect (CiA 301 §7.2.2.2)."""
         if not self.operational:
+            return
+        if self.late:
+            self.late -= 1
             return
         with self.lock:
             self.tick()

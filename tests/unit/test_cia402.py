@@ -268,6 +268,26 @@ def test_a_node_that_falls_silent_under_way_stops_the_others(machine: Machine) -
     assert machine.drive("slide").power is not Power.OPERATION_ENABLED
 
 
+def test_a_node_that_is_late_is_not_named_in_the_place_of_one_that_is_gone(machine: Machine) -> None:
+    machine.drive("slide").late = 1
+    machine.drive("slew").unplug()
+    with pytest.raises(HeartbeatLost, match=r"slew: no process data within 0\.5 s of SYNC"):
+        machine.group.move({"lift": 0.3})
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_node_that_is_late_alone_is_no_less_a_reason_to_stop(machine: Machine) -> None:
+    machine.drive("slide").late = 1
+    with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
+        machine.group.move({"lift": 0.3})
+    machine.group.start()
+    for name in ("slide", "lift"):
+        machine.drive(name).late = 1
+    with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
+        machine.group.move({"lift": 0.3})
+    assert machine.drive("lift").power is not Power.OPERATION_ENABLED
+
+
 def test_a_silent_bus_is_told_from_a_silent_node(machine: Machine) -> None:
     for drive in machine.drives:
         machine.after(2.0, drive.go_silent)
