@@ -181,6 +181,8 @@ def parse_table(table: Table, machine: Machine) -> Recording:
             raise RecordingError(
                 f"{table.source}: no column q_{j} or q_cmd_{j}; is this a recording of machine '{machine.name}'?"
             )
+    for prefix in ("q_", "q_cmd_"):
+        _check_spelling(cells, machine, prefix)
     q_cmd = np.column_stack([cells.numbers(f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}") for j in joints])
     q = np.column_stack(
         [cells.numbers(f"q_{j}", fallback=q_cmd[:, k]) if f"q_{j}" in cells else q_cmd[:, k]
@@ -225,6 +227,18 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     )  # fmt: skip
 
 
+def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
+    """A misspelt position would silently be taken from the setpoint, and the other way round."""
+    missing = [f"{prefix}{j}" for j in machine.joint_names if f"{prefix}{j}" not in cells]
+    known = {f"{p}{j}" for p in ("q_", "q_cmd_") for j in machine.joint_names}
+    strange = [name for name in cells.names if name.startswith(prefix) and name not in known]
+    strange = [name for name in strange if prefix == "q_cmd_" or not name.startswith("q_cmd_")]
+    if missing and strange:
+        raise RecordingError(
+            f"{cells.source}: column {strange[0]} is of no joint of machine '{machine.name}', expected {missing[0]}"
+        )
+
+
 def _check_limits(cells: _Cells, machine: Machine, q_cmd: Array) -> None:
     lower, upper = machine.limits()
     outside = (q_cmd < lower - LIMIT_ROUNDING) | (q_cmd > upper + LIMIT_ROUNDING)
@@ -244,6 +258,10 @@ class _Cells:
 
     def __contains__(self, name: str) -> bool:
         return name in self._index
+
+    @property
+    def source(self) -> str:
+        return self._table.source
 
     def fail(self, row: int, column: str, message: str) -> NoReturn:
         table = self._table
