@@ -17,18 +17,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
 from ppshw.calibration import Calibration, load_calibration
+from ppshw.diagnosis.evidence import Name
+from ppshw.diagnosis.library import library
 from ppshw.errors import BadInput, PpshwError
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
@@ -37,7 +40,7 @@ from ppshw.kinematics import frames, point_jacobian, point_positions
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import displacement
+from ppshw.terms.shapes import Context
 
 Array = NDArray[np.float64]
 CLASSES = 35  # names that compete for a finding: the effects, times the joints they may sit in, roughly
@@ -80,8 +83,10 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
         e.update(strength if e["effect"] not in NOISE_EFFECTS else dict.fromkeys(strength))
         e["sqrt_lambda_left"] = None
     predictable = not any(e["effect"] in NOISE_EFFECTS for e in told)
-    if len(told) == 1 and predictable and calibration is not None and calibration.exists():
-        told[0]["sqrt_lambda_left"] = strength_left(machine, recording, base, fields[0], truth, calibration)
+    wrong = set(judge(told, answer)["wrong"])
+    if len(told) == 1 and predictable and wrong:
+        given = {(f["effect"], f["joint"]) for f in answer["findings"] if f["effect"] in wrong}
+        told[0]["sqrt_lambda_left"] = least_left(machine, recording, base, fields[0], truth, given)
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)
@@ -180,8 +185,10 @@ def _weights(truth: Sequence[Json], findings: Sequence[Mapping[str, Any]]) -> li
 # --- what could have been found -----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _White:
-    """Design (R, p) and field (R,) of all readings, the true noise whitened to one; prior (p,) standard deviations."""
+    """Design (R, p) and field (R,) of all readings, the true noise whitened to one; prior (p,) standard deviations;
+    lower (N, 3T, 3T) that the noise is divided by."""
 
+    lower: Array
     design: Array
     field: Array
     prior: Array
@@ -217,15 +224,40 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
     }
 
 
-def strength_left(
-    machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, calibration: Path
-) -> float:  # fmt: skip
-    """√λ of what a diagnosis's calibration leaves of the true field, as in `bound`: below half power's 3.2 nobody
-    could have told its findings from the truth by this recording, whatever they are called."""
-    found = load_calibration(calibration, machine)
-    taken = displacement(found.effects, found.model, found.theta, recording, found.measuring_in_base, found.reference)
-    visits = field[: len(recording)] - taken if found.effects else field[: len(recording)]
-    return float(bound(machine, recording, base, visits, truth)["sqrt_lambda"])
+def least_left(
+    machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, names: Collection[Name]
+) -> float | None:  # fmt: skip
+    """The least √λ, as in `bound`, that the true field leaves beside any form that the library has of one of these
+    effects at these joints, its coefficients free: below half power's 3.2 nobody could have told that name from the
+    truth by this recording. None where the library has no form of them.
+
+    field  (N, T, 3) how the true effect moves the reflectors [m]
+    """
+    white = _whiten(machine, recording, base, field, truth)
+    context = Context.of(base.model, base.theta, recording, base.measuring_in_base)
+    scaled = white.design * white.prior
+    information = scaled.T @ scaled
+    information[np.diag_indices_from(information)] += 1.0
+    lower = np.linalg.cholesky(information)
+
+    def beside_the_base(columns: Array) -> Array:
+        """Scores and information of the field and of columns (R, K), base free within its priors: (1 + K, 1 + K)."""
+        both = np.column_stack([white.field, columns])
+        taken = solve_triangular(lower, scaled.T @ both, lower=True)
+        return np.asarray(both.T @ both - taken.T @ taken)
+
+    least: float | None = None
+    for candidate in library(context):
+        if (candidate.effect, candidate.joint) not in names:
+            continue
+        laid = np.stack([k.evaluate(context).reshape(len(recording), -1) for k in candidate.columns], axis=2)
+        columns = np.linalg.solve(white.lower, laid).reshape(len(white.field), -1)
+        length = np.linalg.norm(columns, axis=0)
+        matrix = beside_the_base(columns[:, length > 0] / length[length > 0])
+        fitted = np.linalg.lstsq(matrix[1:, 1:], matrix[1:, 0], rcond=1e-9)[0]
+        here = math.sqrt(max(0.0, float(matrix[0, 0] - matrix[0, 1:] @ fitted)))
+        least = here if least is None else min(least, here)
+    return least
 
 
 def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> _White:
@@ -243,7 +275,7 @@ def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array
     both = np.concatenate([design, field.reshape(count, width, 1)], axis=2)
     white = np.linalg.solve(lower, both).reshape(count * width, -1)
     prior = np.array([p.scale * base.groups[p.group] for p in base.model.parameters()])
-    return _White(white[:, :-1], white[:, -1], prior)
+    return _White(lower, white[:, :-1], white[:, -1], prior)
 
 
 # --- what was gained ----------------------------------------------------------------------------------------------

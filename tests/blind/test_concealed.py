@@ -6,7 +6,6 @@ import csv
 import json
 import os
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ppshw.calibration import Calibration
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
-from ppshw.prove_score import SealBroken, bound, judge, open_seal, score_of, strength_left
+from ppshw.prove_score import SealBroken, bound, judge, least_left, open_seal, score_of
 from ppshw.prove_table import half_power, share, summarise
 from ppshw.recording import load_recording
-from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Column, Context
 from simulators.chain import read_chain
 from simulators.concealed import by_load
@@ -494,16 +491,21 @@ def test_the_bound_grows_with_the_effect_and_sees_nothing_of_what_the_base_model
     half = bound(machine, recording, base, 3.19 / one["sqrt_lambda"] * field, truth)
     assert half["power"] == pytest.approx(0.5, abs=0.02)  # normal limit: z = 3.19 at α = 0.05/35, two-sided
     assert one["sqrt_lambda_free"] <= one["sqrt_lambda"] * (1 + 1e-9)
-    # what a calibration's effects leave: all of it with none, nothing with the very field
-    step = Column("frame", "step", {"visit_time": 2.0}, 4, 4)
-    jumped = Effect("zero_shift", "yaw", (step,), (2e-4,), (1e-5,), "yaw jumped.")
-    plain = Calibration.of(base, recording, "joint")
+    # what another name's best form leaves: nothing of its own field, all of it where the library has none there
     context = Context.of(base.model, base.theta, recording, base.measuring_in_base)
+    step = Column("frame", "step", {"visit_time": float(np.median(context.hours))}, 4, 4)
     moved = 2e-4 * step.evaluate(context).reshape(field.shape)
-    for effects, all_of_it in (((), 1.0), ((jumped,), 0.0)):
-        replace(plain, effects=effects).save(tmp_path / "cal.json")
-        left = strength_left(machine, recording, base, moved, truth, tmp_path / "cal.json")
-        assert left == pytest.approx(all_of_it * bound(machine, recording, base, moved, truth)["sqrt_lambda"], abs=1e-3)
+    whole = bound(machine, recording, base, moved, truth)["sqrt_lambda"]
+
+    def left(effect: str, joint: str) -> float | None:
+        return least_left(machine, recording, base, moved, truth, {(effect, joint)})
+
+    jump, growth = left("zero_shift", "yaw"), left("thermal_growth", "yaw")
+    assert jump is not None
+    assert growth is not None
+    assert jump < 0.2 * whole  # moments are tried on a grid
+    assert 0.2 * whole < growth < whole
+    assert left("zero_shift", "no such joint") is None
     still = np.broadcast_to([3e-5, 0.0, 1e-5], field.shape)  # the whole base shifted: the model's own constant
     assert bound(machine, recording, base, still, truth)["sqrt_lambda_free"] < 1e-3
     # pure noise of the plant's own, whitened: one per coordinate, whatever is projected away makes it less
