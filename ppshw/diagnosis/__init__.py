@@ -13,15 +13,24 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, scatter_of, still_gross
+from ppshw.diagnosis.gross import (
+    GrossErrors,
+    Scatter,
+    gross_errors,
+    left_at_a_place,
+    scatter_of,
+    scatter_without_a_name,
+    still_gross,
+)
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
+from ppshw.diagnosis.stairs import stairs
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import column_of, finding, history_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import IdentificationFailed
-from ppshw.identification.joint import estimate
+from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -90,22 +99,24 @@ def diagnose(
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
+        base = _as_believed(space, base, believed)
         space = prepare(machine, recording, believed, base, calming, gross.at_a_place)
         before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
         del tried  # its columns are most of the memory: the next look lays its own
         tried, found = _look(space, without, seed, before, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
-    scatter = None if riddle or "unsettled" in without else scatter_of(space, seed, any_way=True)
+    unnamed = "unsettled" in without
+    scatter = None if riddle else scatter_of(space, seed, any_way=True, nameless=unnamed)
     space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
-    answer, carried = _answer(space, tried, found, gross, None if scatter is None else scatter.finding, mistakes)
+    answer, carried = _answer(space, tried, found, gross, scatter, unnamed, mistakes)
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
     return Diagnosis(answer, space, carried.found)
 
 
 def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | None:
-    found = None if "unsettled" in without else scatter_of(space, seed)
+    found = scatter_of(space, seed, nameless="unsettled" in without)
     return None if found is None else found.calming
 
 
@@ -116,7 +127,7 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
-    candidates = library(space.context, without, moments, periods, bands) + nameless(space.context)
+    candidates = library(space.context, without, moments, periods, bands, stairs(space)) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.base.noise.repeatability, without)
@@ -126,6 +137,14 @@ def _look(
     return tried, found
 
 
+def _as_believed(space: Workspace, base: Estimate, believed: Mask) -> Estimate:
+    """An estimate for the believed visits (N,) that trusts none of them less than before: what looks odd to it may be
+    what the effect's form left, where it bends more than the form can."""
+    before = np.ones(len(believed))
+    before[space.fit] = space.base.weights
+    return replace(base, weights=np.maximum(base.weights, before[believed]))
+
+
 def _without(space: Workspace) -> Recording:
     """The recording as it would be without what was found."""
     shift = space.moved().reshape(space.recording.points.shape)
@@ -133,16 +152,19 @@ def _without(space: Workspace) -> Recording:
 
 
 def _answer(
-    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: dict[str, Any] | None,
+    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: Scatter | None, unnamed: bool,
     mistakes: list[Mistake],
 ) -> tuple[dict[str, Any], Carried]:
+    """unnamed: whether scatter has no name."""
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
     findings = [m.finding() for m in mistakes] + gross.findings()
     findings += [finding(space, tried, f) for f in _merged(named)]
-    if scatter is not None:
-        findings.append(scatter)
     unexplained = left_at_a_place(space, gross)
+    if scatter is not None and not unnamed:
+        findings.append(scatter.finding)
+    elif scatter is not None:
+        unexplained = scatter_without_a_name(space, scatter)
     if left:
         unexplained = _unexplained(space, tried, max(left, key=lambda f: f.evidence))
     carried = carry(space, tried, found)

@@ -33,6 +33,7 @@ LEAST_SHARE = 3e-4
 # needed in sealed cases: logarithmic creep against any function of time).
 HANDICAP = 0.7
 NEARLY_A_TIE = 0.5  # of log evidence
+MOST_OF_NOISE = 15.0  # times its mean square: farther off a visit is simply wrong, however heavy the tails are
 ROUNDING = 1e-9  # of a Cholesky factor's diagonal
 CHUNK = 512  # candidates at a time
 Name = tuple[str, str | None]
@@ -222,9 +223,13 @@ class Tried:
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,).
 
-        residual  (F, 3T) whitened and corrected for leverage
+        residual  (F, 3T) whitened and corrected for leverage; a visit that no noise makes counts as if it were just not
+                  simply wrong: it was believed because something explains it
         """
         space = self.space
+        freedom = 3 * space.recording.seen[space.fit].sum(axis=1)
+        size = (residual**2).sum(axis=1) / freedom
+        residual = residual * np.sqrt(np.minimum(1.0, MOST_OF_NOISE / np.maximum(size, 1e-30)))[:, None]
         signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
         turned = (signs[:, :, None] * residual).reshape(draws, -1).T
         scores = self.laid.product(space.absorb(turned))

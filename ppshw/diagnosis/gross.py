@@ -28,6 +28,7 @@ TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's tra
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.001
 LITTLE = 0.05  # of the noise's variance: what swings less than that in a direction swings no less
+PLACES = 12  # along a joint's travel
 PERMUTATIONS = 1999
 SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
@@ -195,24 +196,24 @@ class Scatter:
     calming: Array
 
 
-def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | None:
+def scatter_of(space: Workspace, seed: int, any_way: bool = False, nameless: bool = False) -> Scatter | None:
     """Does the scatter grow with a short settling time, the load or the length of the move? By random exchange of whole
     visits; the weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001).
 
     The other way round nothing acts, but scatter that differs by pose looks so: sweeps are short moves in one place.
+    What is larger at one place of a joint's travel than with any of these is no scatter either.
     What swings may be one link about one axis; where that is likelier than noise that grows in all directions, only
     that direction counts less.
 
     any_way  also what swings in one direction alone, which is much of it and little of the whole: to be asked when
              what is missing has been found, since a bias that grows with the load swings one way too
+    nameless the name is not known: scatter is only looked for over columns as they are
     """
     whitened = corrected_residual(space)[..., None]
     residual = np.asarray(np.linalg.solve(space.calming[space.fit], whitened), dtype=float)[..., 0]
     along = np.einsum("nij,njfc->nfci", np.linalg.solve(space.calming, space.root), space.context.jacobian)
-    columns = _may_scatter(space)
-    whole = np.stack(list(columns.values()), axis=1)
-    whole = whole - whole[space.fit].mean(axis=0)
-    whole = whole / np.maximum(np.linalg.norm(whole[space.fit], axis=0), 1e-30)
+    columns = _may_scatter(space, nameless)
+    whole = _standardised(np.stack(list(columns.values()), axis=1), space.fit)
     matrix = whole[space.fit]
     sizes = _sizes(residual, along[space.fit])[:, : None if any_way else 1]
     ranges = sizes.std(axis=0)
@@ -222,7 +223,8 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | 
     null = np.array([(matrix.T @ rng.permutation(sizes)).max() for _ in range(PERMUTATIONS)])
     k, direction = (int(j) for j in np.unravel_index(int(np.argmax(strength)), strength.shape))
     p = (1 + int((null >= strength[k, direction]).sum())) / (PERMUTATIONS + 1)
-    if p > SCATTER:
+    places = _standardised(_places(space), space.fit)[space.fit]
+    if p > SCATTER or (places.T @ sizes[:, direction]).max(initial=0.0) > strength[k, direction]:
         return None
     name = _stem(list(columns)[k])
     way = "falls" if name == "settle_s" else "grows"
@@ -247,17 +249,31 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False) -> Scatter | 
     return Scatter({**finding, **said, "sentence": finding["sentence"].replace(": noise", where)}, swing.calming)
 
 
-def _may_scatter(space: Workspace) -> dict[str, Array]:
-    """What scatter may grow with, (N,) each."""
+def scatter_without_a_name(space: Workspace, scatter: Scatter) -> dict[str, Any]:
+    """Scatter, in the contract's words for what is unexplained: what it goes with; the rms is of all that is left."""
+    left, name = space.residual()[space.fit], scatter.finding["covariate"]
+    values = space.recording.settle_s if name == "settle_s" else None
+    return {
+        "covariates": [name], "history": "scatter, not a bias", "frame": scatter.finding["frame"],
+        "component": scatter.finding["component"],
+        "region": {} if values is None else {name: [float(values.min()), float(values.max())]},
+        "rms_mm": float(np.sqrt(np.nansum(left**2) / max(int(space.recording.seen[space.fit].sum()), 1)) * 1e3),
+        "p_value": scatter.finding["p_value"],
+    }  # fmt: skip
+
+
+def _may_scatter(space: Workspace, nameless: bool) -> dict[str, Array]:
+    """What scatter may grow with, (N,) each; without a name the columns alone, no function of them."""
     r = space.recording
     columns: dict[str, Array] = {}
     if np.isfinite(r.settle_s).all() and np.ptp(r.settle_s) > 0:
-        for tau in (1.0, 3.0, 8.0):
+        for tau in () if nameless else (1.0, 3.0, 8.0):
             columns[f"settle_s exp(-t/{tau:g} s)"] = np.exp(-r.settle_s / tau)
         columns["settle_s"] = -r.settle_s
     if r.has_wrench and np.ptp(r.wrench, axis=0).max() > 0:
         columns["load"] = np.linalg.norm(r.wrench[:, :3], axis=1)
-        columns["load squared"] = columns["load"] ** 2
+        if not nameless:
+            columns["load squared"] = columns["load"] ** 2
     span = np.maximum(np.ptp(r.q, axis=0), 1e-9)
     moved = np.concatenate([np.zeros((1, r.q.shape[1])), np.abs(np.diff(r.q, axis=0) / span)])
     columns["move length"] = moved.max(axis=1)
@@ -266,6 +282,20 @@ def _may_scatter(space: Workspace) -> dict[str, Array]:
     for name in [name for name in columns if name.startswith("move")]:  # what rings after a long move
         columns |= {f"{name} x {ring}": columns[name] * columns[ring] for ring in rings}
     return columns
+
+
+def _standardised(columns: Array, fit: Mask) -> Array:
+    """Columns (N, K) without their means, of unit length, over the fit visits."""
+    columns = columns - columns[fit].mean(axis=0)
+    return np.asarray(columns / np.maximum(np.linalg.norm(columns[fit], axis=0), 1e-30))
+
+
+def _places(space: Workspace) -> Array:
+    """Where each joint is along its travel, (N, joints · PLACES): a hat over every place."""
+    q = space.recording.q[:, np.ptp(space.recording.q, axis=0) > 0]
+    along = PLACES * (q - q.min(axis=0)) / np.ptp(q, axis=0)
+    hats = 1.0 - np.abs(along[:, :, None] - (np.arange(PLACES) + 0.5))
+    return np.asarray(np.maximum(hats, 0.0).reshape(len(q), -1))
 
 
 def _sizes(residual: Array, along: Array) -> Array:

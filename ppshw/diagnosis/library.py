@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import gc
 import itertools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,9 +19,11 @@ from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context, own_weight
+from ppshw.terms.shapes import Column, Context, load_of
 
 Array = NDArray[np.float64]
+ORDINALS = ("", "second_", "third_", "fourth_")
+Stairs = tuple[str, tuple[float, ...]]  # a joint, and moments [h]
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
@@ -80,6 +83,7 @@ def all_kept() -> Iterator[None]:
 def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
+    stairs: Sequence[Stairs] = (),
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -91,11 +95,11 @@ def library(
     """
     makers = (
         _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
-        _wrench, _creep, _creep_from_nothing, _zero_shift, _missing_compliance,
+        _wrench, _creep, _creep_from_nothing, _missing_compliance,
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
     found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
-    found += [*_periodic(c, periods), *_periodic_across(c, bands)]
+    found += [*_periodic(c, periods), *_periodic_across(c, bands), *_zero_shift(c, stairs)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
@@ -280,8 +284,11 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
             where = {"frame": frame, "component": b}
             # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
             powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
-            shapes = [("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers]
-            shapes += [("load_side", {"width": w}, _of_load(c, frame, b, w), 2 / len(TAKEN_UP)) for w in TAKEN_UP]
+            shapes: list[tuple[str, dict[str, Any], dict[str, float], float]] = [
+                ("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers
+            ]
+            for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
+                shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
             for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(
@@ -309,9 +316,20 @@ def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float
         yield from ((pair, float(width)) for pair in ((at[0], at[-1]), (at[1], at[-2])))
 
 
-def _of_load(c: Context, frame: int, component: int, width: float) -> dict[str, float]:
-    """What a width relative to the load's spread is in N or N m."""
-    return {"load_width": width * float(c.wrenches[:, frame, component].std())}
+def _of_load(c: Context, frame: int, component: int, side: Mapping[str, Any]) -> dict[str, float]:
+    """What the width of a side, relative to its load's spread, is in N or N m."""
+    return {"load_width": side["width"] * float(load_of(c, frame, component, side.get("of", "")).std())}
+
+
+def _of_payload(c: Context, frame: int, component: int) -> list[dict[str, str]]:
+    """Where its own weight may be balanced, so that the payload alone pushes a joint over to its other side."""
+    if c.recording.has_wrench and _changes_side(load_of(c, frame, component, "payload")):
+        return [{"of": "payload"}]
+    return []
+
+
+def _changes_side(w: Array) -> bool:
+    return bool(min((w > 0).mean(), (w < 0).mean()) > 0.03)
 
 
 def _clearance(c: Context) -> Iterator[Candidate]:
@@ -323,31 +341,31 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                 for comp in range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
-                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, args["width"]),
+                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
                         share if comp == b else 0.1 * share,
                     )  # fmt: skip
+            for wide in (0.02, 0.1, 0.3):  # the gap is wider on one side than on the other
+                args = {"frame": frame, "component": b, "width": wide}
+                sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
+                at = COMPONENTS[b], WRENCH_COMPONENTS[b]
+                yield Candidate("clearance", name, name, *at, sides, _of_load(c, frame, b, args), 0.3)
 
 
 def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
     """How a joint may fall to its other side by a component of its load, and the shares of these; wider ones are
     nonlinear stiffness."""
-
-    def changes_side(w: Array) -> bool:
-        return bool(min((w > 0).mean(), (w < 0).mean()) > 0.03)
-
     w = c.wrenches[:, frame, b]
     for wide, offset in itertools.product((0.02, 0.1, 0.3), FALLS_AT):
-        if changes_side(w - offset * w.std()):
+        if _changes_side(w - offset * w.std()):
             yield "load_side", {"width": wide, "offset": offset}, 1.0 if abs(offset) < 0.5 else PRELOADED
-    if not changes_side(w):  # whatever balances the rest of it
+    if not _changes_side(w):  # whatever balances the rest of it
         middle = np.quantile(w, BALANCED) / w.std()
         for wide, offset in itertools.product((0.1, 0.3), map(float, middle)):
             yield "load_side", {"width": wide, "offset": offset}, PRELOADED
     else:
         yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
-    # its own weight may be balanced, so that the payload alone pushes it over
-    if c.recording.has_wrench and changes_side(w - own_weight(c, frame, b)):
-        yield from (("load_side", {"width": wide, "of": "payload"}, 0.5) for wide in (0.02, 0.1, 0.3))
+    for of, wide in itertools.product(_of_payload(c, frame, b), (0.02, 0.1, 0.3)):
+        yield "load_side", {"width": wide, **of}, 0.5
 
 
 def _coupling(c: Context) -> Iterator[Candidate]:
@@ -480,24 +498,38 @@ def _creep_from_nothing(c: Context) -> Iterator[Candidate]:
             yield Candidate("creep", name, name, COMPONENTS[b], "since_load_change", both, {"tau_h": tau}, 0.3)
 
 
-def _zero_shift(c: Context) -> Iterator[Candidate]:
+def visits_between(c: Context) -> list[float]:
+    """Moments between visits at which a zero may have jumped [h]."""
+    return moments_between(c, 450)
+
+
+def shift_of_zero(c: Context, k: int, moment: float) -> Column:
+    """What a jump of a joint's zero at a moment [h] does from then on."""
+    return Column("frame", "step", {"visit_time": moment}, k + 1, own_component(c, k))
+
+
+def _zero_shift(c: Context, stairs: Sequence[Stairs]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         own = own_component(c, k)
         where = ("zero_shift", name, name, COMPONENTS[own], "time")
-
-        def step(moment: float, k: int = k, own: int = own) -> Column:
-            return Column("frame", "step", {"visit_time": moment}, k + 1, own)
-
-        every, some = moments_between(c, 450), moments_between(c, MOMENTS)
+        every, some = visits_between(c), moments_between(c, MOMENTS)
         for moment in every:
-            yield Candidate(*where, (step(moment),), {"time_h": moment}, 1.0 / len(every))
+            yield Candidate(*where, (shift_of_zero(c, k, moment),), {"time_h": moment}, 1.0 / len(every))
         for first, second in itertools.combinations(some, 2):
             pairs = len(some) * (len(some) - 1) / 2
-            yield Candidate(*where, (step(first), step(second)), {"time_h": first}, 0.2 / pairs)
+            both = shift_of_zero(c, k, first), shift_of_zero(c, k, second)
+            yield Candidate(*where, both, _moments(first, second), 0.2 / pairs)
+        for moments in (moments for joint, moments in stairs if joint == name):
+            jumps = tuple(shift_of_zero(c, k, moment) for moment in moments)
+            yield Candidate(*where, jumps, _moments(*moments), 0.1 / math.comb(len(every), len(moments)))
         for moment in some:
             for tau in (0.5, 1.5):
                 back = Column("frame", "settling", {"visit_time": moment, "tau": tau}, k + 1, own)
-                yield Candidate(*where, (step(moment), back), {"time_h": moment}, 0.1 / len(some))
+                yield Candidate(*where, (shift_of_zero(c, k, moment), back), {"time_h": moment}, 0.1 / len(some))
+
+
+def _moments(*moments: float) -> dict[str, float]:
+    return {f"{word}time_h": moment for word, moment in zip(ORDINALS, moments, strict=False)}
 
 
 def _missing_compliance(c: Context) -> Iterator[Candidate]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library import ORDINALS, Candidate
 from ppshw.diagnosis.search import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
@@ -133,8 +133,8 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "friction_hysteresis":
         names = ["lag"]
     elif candidate.effect == "zero_shift":
-        second = "lost_again" if candidate.columns[-1].function == "settling" else "second_step"
-        names = ["step", second][: len(values)]
+        back = candidate.columns[-1].function == "settling"
+        names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
     elif candidate.effect == "target_moved":
         names, units = ["dx", "dy", "dz"], ["m"] * 3
     elif candidate.effect == "moving_weight":
@@ -147,7 +147,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     elif candidate.effect == "wrench_error":
         units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
-        names = ["half_gap"]
+        names = ["half_gap", "half_difference"][: len(values)]
     elif candidate.effect == "creep":
         load = WRENCH_COMPONENTS[candidate.columns[0].component]
         name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
@@ -227,8 +227,7 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
         "wrench_error": f"the force sensor's {candidate.covariate} is off in gain, cross-talk or zero ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
-        "zero_shift": f"{joint}'s zero jumped by {abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'} after "
-        f"{candidate.shape.get('time_h', 0):.2f} h ({size}).",
+        "zero_shift": f"{joint}'s zero jumped by {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
         f"({size}).",
         "target_moved": f"reflector {candidate.covariate} "
@@ -238,6 +237,14 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
+    """How far a zero jumped, and when: once or again and again."""
+    steps = [v for v, column in zip(values, candidate.columns, strict=True) if column.function == "step"]
+    moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
+    said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
+    return said[0].lstrip("+-") if len(said) == 1 else " and ".join(said)
 
 
 def _change(candidate: Candidate) -> str:

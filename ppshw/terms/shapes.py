@@ -319,15 +319,24 @@ def load_knee(c: Context, frame: int, component: int, at: float, width: float) -
     return np.asarray(0.5 * (above + np.hypot(above, width)))
 
 
-def load_side(c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "") -> Array:
-    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to the load's spread.
+def load_side(
+    c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "", either: bool = False
+) -> Array:  # fmt: skip
+    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to that load's spread.
 
-    of  "payload": by what the payload does to it alone, as if its own weight were balanced
+    of      "payload": by what the payload does to it alone, as if its own weight were balanced
+    either  how far from the middle, to whichever side: 0 … 1; beside the former, a gap that is wider on one side
     """
+    w = load_of(c, frame, component, of)
+    spread = max(c.frozen(f"spread.{frame}.{component}{'.' if of else ''}{of}", float(w.std())), 1e-9)
+    side = np.tanh((w / spread - offset) / width)
+    return np.asarray(np.abs(side) if either else side)
+
+
+def load_of(c: Context, frame: int, component: int, of: str = "") -> Array:
+    """A component of the wrench on a frame; of "payload": without what the machine's own bodies do."""
     w = c.wrenches[:, frame, component]
-    if of == "payload":
-        w = w - own_weight(c, frame, component)
-    return np.asarray(np.tanh((w / _spread(c, frame, component) - offset) / width))
+    return np.asarray(w - own_weight(c, frame, component)) if of == "payload" else w
 
 
 def load_side_held(c: Context, frame: int, component: int, width: float) -> Array:

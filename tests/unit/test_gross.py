@@ -7,8 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ppshw.diagnosis import gross
 from ppshw.diagnosis.checks import before_and_after
-from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, scatter_of, still_gross
+from ppshw.diagnosis.gross import (
+    GrossErrors,
+    gross_errors,
+    left_at_a_place,
+    scatter_of,
+    scatter_without_a_name,
+    still_gross,
+)
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
@@ -163,6 +171,32 @@ def test_noise_that_grows_in_all_directions_is_calmed_in_all(clean: Workspace) -
     sizes = found.calming[:, 0, 0]
     assert np.allclose(found.calming, sizes[:, None, None] * np.eye(clean.rows))
     assert np.corrcoef(np.log(sizes), _load(clean))[0, 1] < -0.9
+
+
+def test_what_is_off_at_one_place_of_a_joint_s_travel_is_no_scatter(clean: Workspace) -> None:
+    """Moves to that place are longer than others, as those to any one place far from the middle are."""
+    q = clean.recording.q[:, clean.machine.joint_names.index("yaw")]
+    visits = np.flatnonzero(q > np.quantile(q, 0.93))
+    off = np.random.default_rng(9).normal(size=(len(visits), 1, 3))
+    points = clean.recording.points.copy()
+    points[visits] += 1.2e-4 * off
+    there = prepare(clean.machine, replace(clean.recording, points=points), clean.fit)
+    alone = gross._may_scatter(there, nameless=False)
+    assert max(np.corrcoef(size, q > np.quantile(q, 0.93))[0, 1] for size in alone.values()) > 0.2
+    assert scatter_of(there, 0, any_way=True) is None
+
+
+def test_scatter_without_its_name_is_unexplained_over_the_column_it_goes_with(clean: Workspace) -> None:
+    rng = np.random.default_rng(6)
+    white = rng.normal(size=clean.data.shape) * 3.0 * _load(clean)[:, None]
+    noisy = _noisier(clean, np.linalg.solve(clean.root, white[..., None])[..., 0])
+    found = scatter_of(noisy, 0, nameless=True)
+    assert found is not None
+    said = scatter_without_a_name(noisy, found)
+    assert (said["covariates"], said["history"], said["component"]) == (["load"], "scatter, not a bias", None)
+    assert said["p_value"] <= 0.001
+    assert said["rms_mm"] > scatter_without_a_name(clean, found)["rms_mm"]
+    assert len(gross._may_scatter(noisy, nameless=True)) < len(gross._may_scatter(noisy, nameless=False))
 
 
 def _dented(clean: Workspace, visits: np.ndarray) -> Workspace:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ppshw.diagnosis.kinship import AKIN, counts, of_its_kind
+from ppshw.diagnosis.kinship import AKIN, ALWAYS, counts, of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.terms.shapes import Column
 
@@ -48,6 +48,19 @@ def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
 ) -> None:
     assert of_its_kind(named, kin)
     assert not of_its_kind(named, stranger)
+
+
+def test_a_gap_that_goes_with_something_is_a_gap_if_most_of_it_is_always_there() -> None:
+    named = _named("backlash", "yaw", "yaw", "ry", "approach_yaw")
+    changing = _rival("yaw", "ry", "approach_yaw", "temp_air_C", function="approach")
+    assert not of_its_kind(named, changing)
+    assert counts(named, changing) == ALWAYS < 1.0
+    for other in (
+        _rival("yaw", "ry", "approach_yaw", function="approach"),
+        _rival("yaw", "rx", "approach_yaw", "temp_air_C", function="approach"),
+        _rival("yaw", "ry", "approach_roll", "temp_air_C", function="approach"),
+    ):
+        assert counts(named, other) == 1.0
 
 
 @pytest.mark.parametrize("effect", ["clearance", "backlash", "friction_hysteresis"])

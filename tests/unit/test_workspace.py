@@ -471,6 +471,8 @@ def test_a_side_by_the_payload_changes_where_the_payload_s_moment_does(space: Wo
     side = Column("frame", "load_side", {"frame": frame, "component": b, "width": 1e-6, "of": "payload"}, frame, b)
     seen = np.abs(moment) > 1e-3
     assert np.allclose(side.value(c)[seen], np.sign(moment[seen]))
+    wide = Column("frame", "load_side", {"frame": frame, "component": b, "width": 0.5, "of": "payload"}, frame, b)
+    assert np.allclose(wide.value(c), np.tanh(moment / moment.std() / 0.5))  # of its own spread, not of all that acts
 
 
 def test_stiffness_round_a_turn_and_waves_beside_another_position_are_products(space: Workspace) -> None:
