@@ -41,7 +41,7 @@ Single = NDArray[np.float32]
 
 
 @dataclass
-class _Batch:
+class Batch:
     """Candidates with the same number of columns k: which (C,), columns (C, k)."""
 
     which: NDArray[np.int64]
@@ -80,7 +80,7 @@ class Tried:
         of_size: dict[int, list[int]] = {}
         for c, columns_of in enumerate(index):
             of_size.setdefault(len(columns_of), []).append(c)
-        self._batches = [_Batch(np.array(of), np.array([index[c] for c in of])) for _, of in sorted(of_size.items())]
+        self._batches = [Batch(np.array(of), np.array([index[c] for c in of])) for _, of in sorted(of_size.items())]
         self.log_share = np.log([max(k.share, 1e-300) for k in candidates])
         self.names: list[Name] = list(dict.fromkeys((k.effect, k.joint) for k in candidates))
         position = {n: j for j, n in enumerate(self.names)}

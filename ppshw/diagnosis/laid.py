@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Single = NDArray[np.float32]
 BLOCK = 512  # columns at a time in double precision
+FIELDS = 32  # of those that are not on one component of a frame
 MOST_THREADS = 4  # each holds a part of its own
 NOWHERE = -1
 NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
@@ -38,7 +39,6 @@ class Laid:
     scale      (K,)    rms at the reflectors per unit, over all visits [m]
     plain      (K,)    ZᵀR⁻¹Z at unit rms
     absorbing  (R, a)  A, of the a directions that take up anything;  lengths (a,) s²;  turn (p, a) W
-    taken      (K, a)  G
     """
 
     def __init__(self, space: Workspace, columns: Sequence[Column]) -> None:
@@ -58,6 +58,7 @@ class Laid:
         jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))  # (n+1, 6, N, 3T)
         readings = max(int(space.recording.seen.sum()), 1)
         known: dict[What, Array] = {}
+        block = np.empty((BLOCK, len(space.fit)))
         self._white: list[Array] = []  # (F, 3T) of every group
         self._spans: list[slice] = []
         at = 0
@@ -70,19 +71,23 @@ class Laid:
             self._spans.append(slice(at, at + len(members)))
             for first in range(0, len(members), BLOCK):
                 part = members[first : first + BLOCK]
-                values = np.array([_value(columns[k], space.context, known) for k in part])
-                scale = np.maximum(np.sqrt(values**2 @ squares / readings), 1e-30)
+                values = block[: len(part)]
+                for row, k in enumerate(part):
+                    values[row] = _value(columns[k], space.context, known)
+                scale = np.maximum(np.sqrt(np.einsum("kn,kn,n->k", values, values, squares) / readings), 1e-30)
                 self.scale[part] = scale
-                self._values[at : at + len(part)] = values[:, space.fit] / scale[:, None]
+                fitted = values if fit == len(space.fit) else values[:, space.fit]
+                np.divide(fitted, scale[:, None], out=self._values[at : at + len(part)], casting="same_kind")
                 at += len(part)
         self._place[elsewhere] = np.arange(at, at + len(elsewhere))
-        for row, k in enumerate(elsewhere):
-            raw = columns[k].evaluate(space.context)
-            self.scale[k] = max(np.sqrt((raw**2).sum() / readings), 1e-30)
-            self._fields[row] = space.whiten(raw[..., None])[:, 0] / self.scale[k]
+        for first in range(0, len(elsewhere), FIELDS):
+            part = elsewhere[first : first + FIELDS]
+            raw = np.stack([columns[k].evaluate(space.context) for k in part], axis=2)
+            self.scale[part] = np.maximum(np.sqrt((raw**2).sum(axis=(0, 1)) / readings), 1e-30)
+            self._fields[first : first + len(part)] = (space.whiten(raw) / self.scale[part]).T
         self._weights = np.array([(white**2).sum(axis=1) for white in self._white]).reshape(-1, fit)
         self.plain = self._squares()[self._place]
-        self.taken = self._double(self.absorbing)[self._place] / np.sqrt(1.0 + self.lengths)
+        self._taken = self._double(self.absorbing / np.sqrt(1.0 + self.lengths))
 
     def product(self, x: Array) -> Array:
         """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
@@ -112,13 +117,17 @@ class Laid:
             for c in np.flatnonzero(~together):
                 rows = self.rows(part[c])
                 inner[c] = rows @ rows.T
-            taken = self.taken[part]
+            taken = self.taken(part)
             out[at : at + step] = inner - taken @ np.swapaxes(taken, 1, 2)
         return out
 
     def seen(self) -> Array:
         """(K,) ZᵀV⁻¹Z of every column alone."""
-        return np.asarray(self.plain - np.einsum("kp,kp->k", self.taken, self.taken))
+        return np.asarray(self.plain - np.einsum("kp,kp->k", self._taken, self._taken)[self._place])
+
+    def taken(self, which: Indices) -> Array:
+        """(…, a) G of some of the columns."""
+        return np.asarray(self._taken[self._place[which]])
 
     def rows(self, which: Indices) -> Array:
         """(k, R) some of the columns as whitened readings."""

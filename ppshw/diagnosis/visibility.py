@@ -12,7 +12,7 @@ with the strengths that it learnt.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import CHUNK, LEAST_SHARE, Name, Tried
+from ppshw.diagnosis.evidence import CHUNK, LEAST_SHARE, Batch, Name, Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.search import FIRST, LEAST_FIRST
 
@@ -124,7 +124,7 @@ def least(tried: Tried) -> float:
 
 def _of_forms(tried: Tried) -> tuple[Array, Array]:
     """(C,) what is left of every form, its columns at unit rms and alike, to whoever searches; and the share (C,) that
-    the base model itself leaves.
+    the base model itself leaves; 0 of what has no name.
 
     With G = (1 + s²)^−½ Aᵀz, A = R⁻½ X Λ½ W, AᵀA = diag s² (`laid`), zᵀR⁻¹z = zᵀV⁻¹z + |G|²; and with prior strengths κ
     times smaller, one κ for every parameter, D = κ² − 1 and B = 1 + W s² Wᵀ,
@@ -137,12 +137,12 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     held = freed * np.sqrt(laid.lengths)  # B⁻¹ = 1 − W s² (1 + s²)⁻¹ Wᵀ, whatever W leaves out has s = 0
     inner = np.diag(1.0 + more_free) - held @ held.T
     regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T.astype(np.float32)
-    seen, more = np.empty(len(tried.candidates)), np.empty((len(tried.candidates), 2))
-    for batch, info in zip(tried._batches, tried._info0, strict=True):
+    seen, more = np.zeros(len(tried.candidates)), np.zeros((len(tried.candidates), 2))
+    for batch, info in _named(tried):
         seen[batch.which] = info.sum(axis=(1, 2))
         for at in range(0, len(batch.which), CHUNK):
             part = slice(at, at + CHUNK)
-            taken = laid.taken[batch.columns[part]].sum(axis=1)
+            taken = laid.taken(batch.columns[part]).sum(axis=1)
             more[batch.which[part], 0] = (taken**2).sum(axis=1)
             more[batch.which[part], 1] = ((taken.astype(np.float32) @ regained) ** 2).sum(axis=1)
     plain = np.maximum(seen + more[:, 0], 1e-30)
@@ -150,6 +150,14 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a
     # single column of it is taken whole, may be found by another form of its name
     return np.where(seen > LEAST_SHARE * plain, seen, 0.0), np.clip(shares, 0.0, 1.0)
+
+
+def _named(tried: Tried) -> Iterator[tuple[Batch, Array]]:
+    """The candidates that have a name, and the information of each, given the base model alone."""
+    for batch, info in zip(tried._batches, tried._info0, strict=True):
+        mine = np.array([tried.names[j][0] != "nameless" for j in tried.name_of[batch.which]])
+        if mine.any():
+            yield replace(batch, which=batch.which[mine], columns=batch.columns[mine]), info[mine]
 
 
 def _widths(tried: Tried) -> Array:
@@ -296,9 +304,11 @@ def mimicked(tried: Tried, scores: Array) -> Array:
     """(F, names) the largest share of what each direction shows that a single form of another name shows as well:
 
         gᵀ I⁻¹ g,   g the scores of the form's columns, I their information      (squared multiple correlation)
+
+    0 of what has no name.
     """
     out = np.zeros((len(scores), len(tried.names)))
-    for batch, info in zip(tried._batches, tried._info0, strict=True):
+    for batch, info in _named(tried):
         g = scores[:, batch.columns].transpose(1, 2, 0)  # (C, k, F)
         rounding = 1e-6 * np.einsum("ckk->ck", info) + 1e-30
         inner = np.linalg.solve(info + rounding[:, :, None] * np.eye(info.shape[1]), g)
