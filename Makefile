@@ -15,7 +15,9 @@ test: lint types layers unit
 picture: env
 	$(BIN)/python docs/img/demo_picture.py demo-out docs/img/demo.png
 
-# Modules are compiled as they are first imported: most of what is installed never is.
+# Modules are compiled as they are first imported, since most of what is installed never is, and kept, since the tests
+# start Python a few hundred times.
+unexport PYTHONDONTWRITEBYTECODE
 env: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
