@@ -119,10 +119,29 @@ class Tried:
             for k, product in zip(new, self.laid.product(space.absorbed[:, new]).T, strict=True):
                 self._crossed[taken[k]] = product.astype(np.float32)
             self._cross = np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
-        self._info = []
-        for batch, info in zip(self._batches, self._info0, strict=True):
-            w = self._cross[batch.columns]  # (C, k, f)
-            self._info.append(info - w @ space.middle @ np.swapaxes(w, 1, 2))
+        lengths, turn = np.linalg.eigh(0.5 * (space.middle + space.middle.T))
+        if not len(lengths):
+            self._info = self._info0
+            return
+        along = self._cross @ (turn * np.sqrt(np.maximum(lengths, 0.0)))  # (K, f)
+        squares = np.einsum("kf,kf->k", along, along)
+        self._info = [np.empty_like(info) for info in self._info0]
+        parts = [
+            (k, slice(at, at + CHUNK))
+            for k, batch in enumerate(self._batches) for at in range(0, len(batch.which), CHUNK)
+        ]  # fmt: skip
+
+        def of_part(j: int) -> None:
+            k, part = parts[j]
+            columns = self._batches[k].columns[part]
+            if columns.shape[1] == 1:
+                absorbed = squares[columns][:, :, None]
+            else:
+                w = along[columns]  # (C, k, f)
+                absorbed = w @ np.swapaxes(w, 1, 2)
+            np.subtract(self._info0[k][part], absorbed, out=self._info[k][part])
+
+        side_by_side(of_part, range(len(parts)))
 
     def value(self, column: Column) -> tuple[Array, Array, Array]:
         """What a column does to the reflectors per unit, worked out once: (N, 3T) in metres; whitened, and that less

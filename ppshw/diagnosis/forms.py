@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.diagnosis.library import CREEP_H, LAGS_H, Candidate
+from ppshw.diagnosis.library import ANY_WAY, CREEP_H, LAGS_H, SOFT_WALLS, Candidate
 from ppshw.terms.shapes import Column, Context
 
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.
 OF_CLASS = {
     "approach": "backlash", "approach_q": "backlash",
-    "slipping": "friction_hysteresis", "winding": "friction_hysteresis",
     "load_power": "nonlinear_stiffness", "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
 WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
@@ -29,11 +28,15 @@ def near_forms(c: Context, candidate: Candidate, without: frozenset[str] = froze
     if maker is None:
         return ()
     have = {k.key for k in candidate.columns}
-    return tuple(k for k in maker(c, candidate) if k.key not in have and _class(k) not in without)
+    return tuple(k for k in maker(c, candidate) if k.key not in have and _class(c, k) not in without)
 
 
-def _class(column: Column) -> str | None:
+def _class(c: Context, column: Column) -> str | None:
     """The effect whose own form a column is, if it is one's."""
+    if column.function in ("slipping", "winding"):
+        way = float(column.args["width" if column.function == "slipping" else "way"])
+        span = float(np.ptp(c.recording.q[:, int(column.args["joint"])]))
+        return "friction_hysteresis" if way > SOFT_WALLS.max() * span else "backlash"
     if column.function == "load_side" and column.args["width"] > WIDEST_SIDE:
         return "nonlinear_stiffness"
     return OF_CLASS.get(column.function)
@@ -108,6 +111,11 @@ def _coupling(c: Context, k: Candidate) -> list[Column]:
 
 def _creep(c: Context, k: Candidate) -> list[Column]:
     first = k.columns[0]
+    if len(k.columns) == 6:
+        return [
+            Column(each.on, each.function, {**each.args, "tau": tau, "form": form}, each.frame, each.component)
+            for each in k.columns for tau in CREEP_H[::3] for form in (*ANY_WAY, "first")
+        ]  # fmt: skip
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
         for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total", "began")

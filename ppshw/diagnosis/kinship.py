@@ -6,6 +6,8 @@ up because a function without one is more of the same: only because something el
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from ppshw.diagnosis.library import Candidate
 
 # A function of a link's own load that is finest where it changes sign may be clearance. It may say so much more than a
@@ -19,8 +21,11 @@ SMOOTH = frozenset({"covariate", "load_legendre"})
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
 
 
-def of_its_kind(named: Candidate, rival: Candidate) -> bool:
-    """Whether a rival without a name would bear the name's, by what the name means (contract, §4)."""
+def of_its_kind(named: Candidate, rival: Candidate, parallel: Collection[str] = ()) -> bool:
+    """Whether a rival without a name would bear the name's, by what the name means (contract, §4).
+
+    parallel  frames that never turn against the base: a shift of one of them is the base's and each other's
+    """
     here = (named.frame, named.component) == (rival.frame, rival.component)
     over = set(rival.covariates) or {rival.covariate}
     match named.effect:
@@ -32,7 +37,9 @@ def of_its_kind(named: Candidate, rival: Candidate) -> bool:
             return here and all(column.function == "step" for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
-            return rival.frame == named.frame and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+            shifts = not (rival.component or "").startswith("r")
+            there = rival.frame == named.frame or (shifts and {rival.frame, named.frame} <= {"base", *parallel})
+            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "periodic_transmission":  # a band of waves over its own position, its own among them
             return here and over == {named.covariate} and all(column.function == "wave" for column in rival.columns)
         case "target_moved":

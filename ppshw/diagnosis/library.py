@@ -36,6 +36,10 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
+# Parts of a joint's travel over which it takes up what it lost: friction winds up over a fiftieth of it or more (every
+# author's friction of whom we know does), play between soft walls over less.
+WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
+SOFT_WALLS = np.array([0.002, 0.005, 0.01])
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
@@ -43,6 +47,7 @@ TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which
 # Shares of the visits whose load is below that at which stiffness changes.
 KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
 ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
+ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
 BALANCED = (0.35, 0.5, 0.65)  # shares of the visits below the load at which one falls that never changes sign
@@ -130,20 +135,25 @@ def _backlash(c: Context) -> Iterator[Candidate]:
         sign = Column("frame", "approach", {"joint": k}, k + 1, own)
         drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
+        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
-            yield Candidate("backlash", name, name, COMPONENTS[own], f"approach_{name}", columns, share=share)
+            yield Candidate(*where, columns, share=share)
+        for width, column in _taken_up(c, k, SOFT_WALLS):
+            yield Candidate(*where, (column,), {"width": width}, 0.05)
 
 
 def _friction(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
-        span = float(np.ptp(c.recording.q[:, k]))
-        own = own_component(c, k)
-        for width in map(float, span * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3])):
-            for function, how in (("slipping", "width"), ("winding", "way")):
-                column = Column("frame", function, {"joint": k, how: width}, k + 1, own)
-                yield Candidate(
-                    "friction_hysteresis", name, name, COMPONENTS[own], f"move_{name}", (column,), {"width": width}
-                )
+        where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
+        for width, column in _taken_up(c, k, WINDS_UP):
+            yield Candidate(*where, (column,), {"width": width})
+
+
+def _taken_up(c: Context, k: int, parts: Array) -> Iterator[tuple[float, Column]]:
+    """What a joint lost when it turned back is taken up over a part of its travel, evenly or ever more slowly."""
+    for width in map(float, float(np.ptp(c.recording.q[:, k])) * parts):
+        for function, how in (("slipping", "width"), ("winding", "way")):
+            yield width, Column("frame", function, {"joint": k, how: width}, k + 1, own_component(c, k))
 
 
 def _thermal(c: Context) -> Iterator[Candidate]:
@@ -344,7 +354,7 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
                         share if comp == b else 0.1 * share,
                     )  # fmt: skip
-            for wide in (0.02, 0.1, 0.3):  # the gap is wider on one side than on the other
+            for wide in (0.02, 0.08, 0.17, 0.35):  # the gap is wider on one side than on the other
                 args = {"frame": frame, "component": b, "width": wide}
                 sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
                 at = COMPONENTS[b], WRENCH_COMPONENTS[b]
@@ -437,6 +447,18 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)
     gain = Column("frames", "sensor_error", {"component": -1})
     yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
+    matrix = {
+        (to, source): Column("frames", "sensor_error", {"component": to, "source": source})
+        for to, source in itertools.product(range(6), repeat=2)
+    }
+    # a calibration matrix of its own: of every channel's gain, or of all that it has
+    yield Candidate("wrench_error", None, None, None, "load", tuple(matrix[k, k] for k in range(6)))
+    yield Candidate("wrench_error", None, None, None, "load", tuple(matrix.values()))
+    zeros = tuple(
+        Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j})
+        for comp, j in itertools.product(range(6), range(1, 7))
+    )
+    yield Candidate("wrench_error", None, None, None, "time", zeros, share=0.5)
     for source in range(3):
         leak = tuple(Column("frames", "sensor_error", {"component": m, "source": source}) for m in (3, 4, 5))
         yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[source], leak)
@@ -484,6 +506,10 @@ def _creep(c: Context) -> Iterator[Candidate]:
                     "creep", name, name, COMPONENTS[b], "since_load_change", columns, shape,
                     half if b > 2 else 0.3 * half,
                 )  # fmt: skip
+                if len(taus) == 1 and form in ANY_WAY:  # that load bends and stretches it in other directions too
+                    where |= {"tau": taus[0]}
+                    any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
+                    yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
 
 
 def _creep_from_nothing(c: Context) -> Iterator[Candidate]:

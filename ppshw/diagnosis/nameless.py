@@ -315,7 +315,8 @@ def _own_heat(c: Context) -> Iterator[Candidate]:
 
 def _with_another_position(c: Context) -> Iterator[Candidate]:
     """What a link does with a temperature, as it is or an hour late, with time, from the side that its joint came from,
-    or under its load, goes in proportion to another joint's position."""
+    or under its load, goes in proportion to another joint's position; what it does with something that no name is
+    about, in proportion to any joint's, its own among them."""
     warm = [f"temp_{place}_C" for place in temperature_places(c)]
     anywhere = [*warm, *(f"late_1_{name}" for name in warm), "time"]
     for (k, name), (_, other) in itertools.permutations(moving_joints(c), 2):
@@ -331,6 +332,12 @@ def _with_another_position(c: Context) -> Iterator[Candidate]:
             args = {"first": what, "second": f"q_{other}", "a": 0, "b": 0, "count": 1}
             product = Column("frame", "covariate_pair", args, frame, comp)
             yield _nameless(c, frame, comp, (what, f"q_{other}"), (product,))
+    strange = [*_nobody_knows(c), *(f"late_1_{name}" for name in _nobody_knows(c))]
+    inner = [k + 1 for k, _ in moving_joints(c) if k + 1 < c.machine.n]
+    for frame, what, (_, joint), comp in itertools.product(inner, strange, moving_joints(c), range(6)):
+        args = {"first": what, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
+        product = Column("frame", "covariate_pair", args, frame, comp)
+        yield _nameless(c, frame, comp, (what, f"q_{joint}"), (product,))
 
 
 def _smooth_pairs(c: Context) -> list[tuple[str, str]]:

@@ -3,6 +3,7 @@ again beside the others."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,13 +17,13 @@ from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.kinship import counts, of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
 # What counts as significant, family-wise: the first finding, and any beside it.
 FIRST, FURTHER = 0.05, 0.02
-MOST_FINDINGS = 5
+MOST_FINDINGS, MOST_PIECES = 5, 8  # effects; findings, where an effect needs several
 # No finding without real odds, however quiet the null: e² = 7 to 1 against nothing (of 40 clean recordings three
 # reached e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
@@ -55,7 +56,7 @@ RIDDLE = 0.5
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
 # tilting joints, whose travel is short.
 SOFT, MAY_BE_PLAY = 8.0, 0.7
-PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability
+PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability; the less, the more than FREE there are
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
@@ -72,6 +73,9 @@ LOADS = frozenset({
 # Other names to begin with: so many effects, each with at least such a share of the best's log evidence, and structure
 # without a name; another start wins by so much.
 STARTS, LOUD, ANOTHER_START = 3, 0.25, 3.0
+# By so much more for each effect more that it needs: a base that wandered was said to be one that drifts about one axis
+# and whose first joint jumps, for 3.2 (another author's 6074).
+EACH_MORE = 6.0
 FEWER = 2  # findings less: then nothing counts against those without a name
 FREE = 6  # columns of a form that may stand for two effects: a base that wanders in all directions
 ROUNDS = 3  # of putting names to the question again
@@ -124,7 +128,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
             total = _explained(space, tried, instead)
             if len(instead) <= len(found) - FEWER:
                 total += _against_riddles(instead)
-            if total > best + ANOTHER_START:
+            if total > best + ANOTHER_START + EACH_MORE * max(0, _effects(instead) - _effects(found)):
                 best, chosen = total, start
         if chosen is not None:  # whose first finding may be too quiet by itself beside what the null makes of all of it
             found = _greedy(space, tried, chosen, rng) or found
@@ -135,26 +139,37 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
     return found
 
 
+def _effects(found: Sequence[Found]) -> int:
+    """How many effects findings are of: what has the same name and joint is one, in whatever directions it acts."""
+    named = [f.name for f in found if f.name[0] != "nameless"]
+    return len(set(named)) + len(found) - len(named)
+
+
 def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """A name stands while no rival without one says as much in its place as the name does by its bare form, or nearly
-    as much as with all its near forms: what any smooth function fits as well is something else. What bears the same
-    name for the same cause elsewhere goes with it, and so does what the others then explain."""
-    given_up: set[tuple[str, str]] = set()
+    as much as with all its near forms: what any smooth function fits as well is something else. Of one effect that acts
+    in several directions the loudest is asked, and the others go its way. What bears the same name for the same cause
+    elsewhere, and no louder, goes with it, and so does what the others then explain."""
+    given_up: dict[tuple[str, str], float] = {}
     freely = tried.names.index(("nameless", None))
+    stand: set[Name] = set()
     for _ in range(2):
-        for f in found:
+        stand.clear()
+        for f in sorted(found, key=lambda f: -f.first):
             cause = f.name[0], tried.candidates[f.best].covariate
-            if f.name[0] == "nameless":
+            if f.name[0] == "nameless" or f.name in stand:
                 continue
             others = [g for g in found if g is not f]
             own, every, evidence = _by_itself(space, tried, f, others)
             rival, best = _other_than(tried, f, evidence, freely)
             least = max((1.0 + NEARLY) * own - AHEAD, min(every - ALL_AHEAD, FAR_BEHIND * own))
             behind = rival / HANDICAP > least
-            if cause in given_up or behind or _beside_a_riddle(tried, f, others):
-                given_up.add(cause)
+            if own <= given_up.get(cause, -math.inf) or behind or _beside_a_riddle(tried, f, others):
+                given_up[cause] = max(own, given_up.get(cause, -math.inf))
                 f.was, f.best, f.name, f.evidence, f.first = f.best, best, tried.names[freely], rival, rival
                 f.size, f.more = 0.0, ()
+            else:
+                stand.add(f.name)
             take_up(space, tried, found)
         if not given_up:
             return
@@ -192,14 +207,19 @@ def _drop_what_riddles_leave(space: Workspace, tried: Tried, found: list[Found])
 def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[float, int]:
     """What rivals without a name say that are not by what they mean the finding's own effect, for the evidence (C,) of
     all candidates; and the strongest of them."""
-    mine = tried.candidates[f.best]
+    mine, parallel = tried.candidates[f.best], _never_turned(tried.space.machine)
     others = np.array([
-        j for j in np.flatnonzero(tried.name_of == freely) if not of_its_kind(mine, tried.candidates[j])
+        j for j in np.flatnonzero(tried.name_of == freely) if not of_its_kind(mine, tried.candidates[j], parallel)
     ])  # fmt: skip
     counted = np.array([counts(mine, tried.candidates[j]) for j in others])
     weighed = counted * evidence[others] + tried.log_share[others]
     said = float(logsumexp(weighed))
     return HANDICAP * said if said > 0 else said, int(others[np.argmax(weighed)])
+
+
+def _never_turned(machine: Machine) -> list[str]:
+    """Frames behind no revolute joint, whose axes stay parallel to the base's."""
+    return [joint.name for joint in itertools.takewhile(lambda joint: joint.prismatic, machine.joints)]
 
 
 def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, float, Array]:
@@ -260,8 +280,10 @@ def _greedy(
     rng    of the null; None: evidence alone decides, and p is nan
     """
     found: list[Found] = []
+    tries = 0
     take_up(space, tried, found)
-    for _ in range(MOST_FINDINGS):
+    while _effects(found) < MOST_FINDINGS and len(found) < MOST_PIECES and tries < MOST_PIECES:
+        tries += 1
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
@@ -451,7 +473,8 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.at = len(laid)
         candidate = tried.candidates[f.best]
         laid += [tried.value(c) for c in candidate.columns]
-        prior += (PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
+        many = min(1.0, FREE / len(candidate.columns))
+        prior += (many * PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
             laid.append(tried.value(column))
             # what wanders does so with half the amplitude at twice the pace, like a random walk

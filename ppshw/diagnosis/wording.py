@@ -14,6 +14,7 @@ from ppshw.diagnosis.search import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import named_column
 
 Array = NDArray[np.float64]
@@ -148,6 +149,10 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap", "half_difference"][: len(values)]
+    elif candidate.effect == "creep" and len(values) == len(COMPONENTS):
+        load = WRENCH_COMPONENTS[candidate.columns[0].args["component"]]
+        names = [f"compliance_{component}" for component in COMPONENTS]
+        units = [_per_load("m" if component.startswith("t") else "rad", load) for component in COMPONENTS]
     elif candidate.effect == "creep":
         load = WRENCH_COMPONENTS[candidate.columns[0].component]
         name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))

@@ -50,6 +50,19 @@ def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
     assert not of_its_kind(named, stranger)
 
 
+def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> None:
+    named = _named("thermal_growth", "vertical", "vertical", None, "temp_air_C")
+    rails = ("lateral", "vertical")
+    for frame, component in (("base", None), ("base", "tx"), ("lateral", "ty")):
+        assert of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"), rails)
+        assert not of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"))
+    assert not of_its_kind(named, _rival("base", "rx", "late_2_temp_air_C"), rails)
+    assert not of_its_kind(named, _rival("base", "tx", "time"), rails)
+    assert not of_its_kind(named, _rival("yaw", "tx", "late_2_temp_air_C"), rails)
+    turning = _named("thermal_growth", "yaw", "yaw", None, "temp_air_C")
+    assert not of_its_kind(turning, _rival("base", "tx", "late_2_temp_air_C"), rails)
+
+
 def test_a_gap_that_goes_with_something_is_a_gap_if_most_of_it_is_always_there() -> None:
     named = _named("backlash", "yaw", "yaw", "ry", "approach_yaw")
     changing = _rival("yaw", "ry", "approach_yaw", "temp_air_C", function="approach")

@@ -118,12 +118,24 @@ def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -
 
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
     """What it loses is more than an eighth of the way over which it builds up."""
-    width = 0.01 * _travel(space)
-    there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
+    width = 0.02 * _travel(space)
+    there = _with(space, _on_the_joint(space, "slipping", width=width), 6.0)
     found, _ = _search(there, ["friction_hysteresis", "backlash"], NAME)
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
+
+
+@pytest.mark.parametrize("form", [("slipping", "width"), ("winding", "way")])
+def test_what_is_taken_up_within_a_hundredth_of_the_travel_is_play_between_soft_walls(
+    space: Workspace, form: tuple[str, str]
+) -> None:
+    function, how = form
+    there = _with(space, _on_the_joint(space, function, **{how: 0.004 * _travel(space)}), 3.0)
+    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("backlash", NAME)]
+    assert _best(tried, found[0]).shape["width"] == pytest.approx(0.005 * _travel(space))
+    assert {"gap", "width"} <= set(finding(there, tried, found[0])["parameters"])
 
 
 @pytest.mark.parametrize(("unsure", "may_be"), [(0.0, False), (0.05, True)])
