@@ -14,8 +14,9 @@ from ppshw.diagnosis.library import Candidate
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
 # stiffness 4.1 % (24610).
 AKIN = 0.98
-# A gap may change with a temperature, a load or time and is still one, if most of it is always there: 0.88 and 0.94 of
-# what was said by gaps that closed as a nut warmed (another author's 10061, 10075).
+# A gap may change with a temperature, a load or time, or tilt what it lets go sideways too, and is still one, if most of
+# it is always there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut warmed, 0.90
+# by one that tilts (two other authors' 10061, 10075, 8001).
 ALWAYS = 0.85
 SMOOTH = frozenset({"covariate", "load_legendre"})
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
@@ -57,9 +58,9 @@ def counts(named: Candidate, rival: Candidate) -> float:
     """The share of a rival's evidence that counts against a name."""
     if named.effect == "nonlinear_stiffness" and _of_its_load(named, rival):
         return AKIN
-    here = (named.frame, named.component) == (rival.frame, rival.component)
-    changing = here and rival.covariates[:1] == (named.covariate,) and len(rival.covariates) > 1
-    return ALWAYS if named.effect == "backlash" and changing else 1.0
+    same = (named.frame, named.component, named.covariate) == (rival.frame, rival.component, rival.covariate)
+    more = rival.covariates[:1] == (named.covariate,) and not same
+    return ALWAYS if named.effect == "backlash" and more else 1.0
 
 
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:

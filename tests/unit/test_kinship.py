@@ -63,15 +63,18 @@ def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> No
     assert not of_its_kind(turning, _rival("base", "tx", "late_2_temp_air_C"), rails)
 
 
-def test_a_gap_that_goes_with_something_is_a_gap_if_most_of_it_is_always_there() -> None:
+def test_a_gap_that_goes_with_something_or_tilts_is_a_gap_if_most_of_it_is_always_there() -> None:
     named = _named("backlash", "yaw", "yaw", "ry", "approach_yaw")
     changing = _rival("yaw", "ry", "approach_yaw", "temp_air_C", function="approach")
     assert not of_its_kind(named, changing)
     assert counts(named, changing) == ALWAYS < 1.0
+    tilting = _rival("pitch", "rx", "approach_yaw", function="approach")
+    assert not of_its_kind(named, tilting)
+    assert counts(named, tilting) == ALWAYS
     for other in (
         _rival("yaw", "ry", "approach_yaw", function="approach"),
-        _rival("yaw", "rx", "approach_yaw", "temp_air_C", function="approach"),
         _rival("yaw", "ry", "approach_roll", "temp_air_C", function="approach"),
+        _rival("yaw", "ry", "q_yaw", "approach_yaw"),
     ):
         assert counts(named, other) == 1.0
 

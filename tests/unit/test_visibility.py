@@ -75,7 +75,7 @@ def test_an_effect_is_its_own_alias_and_a_different_place_is_none(tried: Tried) 
 
 
 def test_friction_that_turns_within_a_small_part_of_the_travel_is_an_alias_of_backlash(tried: Tried) -> None:
-    assert ("friction_hysteresis", "roll") in aliases_of(tried, ("backlash", "roll"))
+    assert ("friction_hysteresis", "pitch") in aliases_of(tried, ("backlash", "pitch"))
     words = alias_words(("backlash", "roll"), [("friction_hysteresis", "roll"), ("creep", "yaw")])
     assert words == " This recording cannot tell it from friction_hysteresis, creep of yaw."
     assert alias_words(("backlash", "roll"), []) == ""
