@@ -14,8 +14,8 @@ from ppshw.diagnosis.library import Candidate
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
 # stiffness 4.1 % (24610).
 AKIN = 0.98
-# A gap may change with a temperature, a load or time, or tilt what it lets go sideways too, and is still one, if most of
-# it is always there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut warmed, 0.90
+# A gap may change with a temperature, a load or time, or let go sideways too, and is still one, if most of it is always
+# there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut warmed, 0.90
 # by one that tilts (two other authors' 10061, 10075, 8001).
 ALWAYS = 0.85
 SMOOTH = frozenset({"covariate", "load_legendre"})

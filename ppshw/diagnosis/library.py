@@ -414,6 +414,12 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
         for axis in "xyz":
             shift = Column("frames", "body_weight", {"joint": k, "what": axis})
             yield Candidate("moving_weight", name, name, None, f"q_{name}", (shift,), share=0.2)
+        chain = tuple(
+            Column("frames", "body_weight", {"joint": k, "what": what, "grows": power})
+            for power in (1, 2) for what in ("mass", "x", "y", "z")
+        )  # fmt: skip
+        for some in (chain[:1], (chain[0], chain[4]), chain):  # a cable chain hangs there, as long as its joint has it
+            yield Candidate("moving_weight", name, name, None, f"q_{name}", some, share=0.3)
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
             column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)

@@ -182,11 +182,15 @@ def _misread(args: Mapping[str, Any]) -> str:
 
 
 def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
-    column = candidate.columns[0]
-    if column.function == "body_weight":
-        what = column.args["what"]
-        return (["mass"], ["kg"]) if what == "mass" else ([f"shifted_mass_{what}"], ["kg m"])
-    return ["compliance"], [f"{unit}/(N m)"]
+    if candidate.columns[0].function != "body_weight":
+        return ["compliance"], [f"{unit}/(N m)"]
+    names, units = [], []
+    for args in (column.args for column in candidate.columns):
+        mass, grows = args["what"] == "mass", args.get("grows", 0)
+        name = "mass" if mass else f"shifted_mass_{args['what']}"
+        names.append(name + ("", "_with_travel", "_with_travel_squared")[grows])
+        units.append("kg" if mass else "kg m")
+    return names, units
 
 
 def _shape_unit(name: str, unit: str, covariate: str) -> str:

@@ -565,8 +565,11 @@ def _expected(c: Context, wrench: Array) -> Array:
     return np.asarray(np.einsum("nfab,nb->nfa", given, wrench))
 
 
-def body_weight(c: Context, joint: int, what: str) -> Array:
-    """Deflection by 1 kg more on a joint's body ("mass"), or by 1 kg·m of shifted mass ("x", "y", "z")."""
+def body_weight(c: Context, joint: int, what: str, grows: int = 0) -> Array:
+    """Deflection by 1 kg more on a joint's body ("mass"), or by 1 kg·m of shifted mass ("x", "y", "z").
+
+    grows  what hangs there goes with that power of the joint's position, −1 … 1 over its travel: a cable chain
+    """
     out = np.zeros_like(c.wrenches)
     g = c.machine.gravity
     pose = c.chain[:, joint + 1]
@@ -582,7 +585,7 @@ def body_weight(c: Context, joint: int, what: str) -> Array:
             axis = pose[:, :3, "xyz".index(what)]
             moment = np.cross(axis, np.broadcast_to(g, (len(out), 3)))
         out[:, i] = np.einsum("nab,nb->na", c.compliance[:, i], _turned(frame, force, moment))
-    return out
+    return np.asarray(out * (c.u(joint) ** grows)[:, None, None]) if grows else out
 
 
 def sensor_error(

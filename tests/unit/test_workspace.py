@@ -498,3 +498,16 @@ def test_one_score_weighs_what_it_weighs_among_others_also_where_rounding_leaves
     for some in (slice(0, 5), slice(0, 6)):
         among = tried._evidence(info[some], np.repeat(scores[some], 2, axis=2))[:, :1]
         assert np.allclose(tried._evidence(info[some], scores[some]), among, rtol=1e-9, atol=1e-9)
+
+
+def test_a_cable_chain_weighs_as_a_body_where_its_joint_has_it_all_and_as_one_taken_away_where_it_has_none(
+    space: Workspace,
+) -> None:
+    c, k = space.context, 1
+    body = Column("frames", "body_weight", {"joint": k, "what": "mass"}).value(c)
+    chain = Column("frames", "body_weight", {"joint": k, "what": "mass", "grows": 1}).value(c)
+    most, least = int(np.argmax(c.recording.q[:, k])), int(np.argmin(c.recording.q[:, k]))
+    size = np.abs(body).max()
+    assert np.abs(body[most]).max() > 0.1 * size
+    assert np.allclose(chain[most], body[most], atol=0.05 * size)
+    assert np.allclose(chain[least], -body[least], atol=0.05 * size)
