@@ -119,11 +119,12 @@ class Tried:
             for k, product in zip(new, self.laid.product(space.absorbed[:, new]).T, strict=True):
                 self._crossed[taken[k]] = product.astype(np.float32)
             self._cross = np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
-        lengths, turn = np.linalg.eigh(0.5 * (space.middle + space.middle.T))
-        if not len(lengths):
+        if not len(space.middle):
             self._info = self._info0
             return
-        along = self._cross @ (turn * np.sqrt(np.maximum(lengths, 0.0)))  # (K, f)
+        units = np.sqrt(np.diag(space.middle))  # kilograms stand beside radians
+        lengths, turn = np.linalg.eigh(space.middle / units[:, None] / units)
+        along = (self._cross * units) @ (turn * np.sqrt(np.maximum(lengths, 0.0)))  # (K, f)
         squares = np.einsum("kf,kf->k", along, along)
         self._info = [np.empty_like(info) for info in self._info0]
         parts = [

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.laid import Laid
+from ppshw.diagnosis.library import library
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
@@ -65,3 +67,22 @@ def test_scores_of_noise_scatter_by_the_information(space: Workspace, whole: np.
 def test_columns_are_told_apart_by_all_they_are_made_of() -> None:
     assert len({column.key for column in COLUMNS}) == len(COLUMNS)
     assert COLUMNS[0].key == Column("frame", "wave", dict(reversed(COLUMNS[0].args.items())), 1, 0).key
+
+
+def test_what_stands_beside_a_candidate_is_accounted_for_in_whatever_units(space: Workspace) -> None:
+    tried = Tried(space, library(space.context)[::40], space.base.noise.repeatability)
+    beside = np.stack([column.evaluate(space.context) for column in tried.candidates[3].columns[:1]], axis=2)
+    other = tried.candidates[-1].columns[0].evaluate(space.context)[..., None]
+    columns, prior = np.concatenate([beside, other], axis=2), np.array([1e-3, 1e-3])
+
+    def evidence(units: np.ndarray) -> np.ndarray:
+        space.take_up(columns * units, prior / units)
+        tried.update()
+        said: np.ndarray = tried.evidence(tried.scores()[None])[0]
+        return said
+
+    try:
+        plain = evidence(np.ones(2))
+        assert evidence(np.array([1e-8, 1e6])) == pytest.approx(plain, abs=1e-3)
+    finally:
+        space.forget()
