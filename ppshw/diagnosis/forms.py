@@ -103,7 +103,7 @@ def _by_load(c: Context, k: Candidate) -> list[Column]:
 
 
 def _coupling(c: Context, k: Candidate) -> list[Column]:
-    a, b = k.columns[0].args["a"], k.columns[0].args["b"]
+    a, b = (c.machine.joint_names.index(name.removeprefix("q_")) for name in k.covariates)
     # up to the sixth order, and waves of one joint times the other's position
     powers = [(i, j) for i in range(9) for j in range(1, 9) if i + j <= 6 or min(i, j) <= 1]
     return [_on(k, "pair", a=a, power_a=i, b=b, power_b=j) for i, j in powers]

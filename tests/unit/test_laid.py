@@ -71,18 +71,18 @@ def test_columns_are_told_apart_by_all_they_are_made_of() -> None:
 
 def test_what_stands_beside_a_candidate_is_accounted_for_in_whatever_units(space: Workspace) -> None:
     tried = Tried(space, library(space.context)[::40], space.base.noise.repeatability)
-    beside = np.stack([column.evaluate(space.context) for column in tried.candidates[3].columns[:1]], axis=2)
-    other = tried.candidates[-1].columns[0].evaluate(space.context)[..., None]
-    columns, prior = np.concatenate([beside, other], axis=2), np.array([1e-3, 1e-3])
+    columns = np.stack([c.columns[0].evaluate(space.context) for c in tried.candidates[3::60]], axis=2)
+    columns /= np.sqrt((columns**2).sum(axis=(0, 1)))
+    rng = np.random.default_rng(3)
 
     def evidence(units: np.ndarray) -> np.ndarray:
-        space.take_up(columns * units, prior / units)
+        space.take_up(columns * units, 1e-3 / units)
         tried.update()
         said: np.ndarray = tried.evidence(tried.scores()[None])[0]
         return said
 
     try:
-        plain = evidence(np.ones(2))
-        assert evidence(np.array([1e-8, 1e6])) == pytest.approx(plain, abs=1e-3)
+        plain = evidence(np.ones(columns.shape[2]))
+        assert evidence(10.0 ** rng.uniform(-8.0, 6.0, columns.shape[2])) == pytest.approx(plain, abs=1e-3)
     finally:
         space.forget()

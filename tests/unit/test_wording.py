@@ -1,10 +1,11 @@
-"""Whatever is in the library can be said: every form has a name and a unit for each of its numbers."""
+"""Whatever is in the library can be taken up and said: every form has a name and a unit for each of its numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.wording import column_of, how_sure, parameters_of, sentence
 from ppshw.identification.joint import estimate
@@ -21,7 +22,7 @@ def context(tmp_path_factory: pytest.TempPathFactory) -> Context:
     return Context.of(base.model, base.theta, recording, base.measuring_in_base)
 
 
-def test_every_form_names_each_of_its_numbers_once(context: Context) -> None:
+def test_every_form_names_each_of_its_numbers_once_and_knows_what_else_it_may_be_like(context: Context) -> None:
     seen = set()
     for candidate in library(context):
         kind = (candidate.effect, *(c.function for c in candidate.columns), candidate.component is None)
@@ -34,6 +35,9 @@ def test_every_form_names_each_of_its_numbers_once(context: Context) -> None:
         assert len(said) >= least, candidate
         assert all(entry["unit"] for entry in said.values())
         assert sentence(candidate, values, 1e-4).endswith((".", "mm."))
+        near = near_forms(context, candidate)
+        assert len({column.key for column in (*candidate.columns, *near)}) == len(candidate.columns) + len(near)
+        assert all(np.isfinite(column.evaluate(context)).all() for column in near[::9])
     assert len(seen) > 30  # of this campaign: all effects but those that need what it has not
 
 
