@@ -203,6 +203,7 @@ class Cia402Group:
         self._raise_trouble()
         if len(silent) > 1:
             silent = self._still_silent(silent)
+            self._raise_trouble()
         self._raise_silence({a.name: a.silent_after_sync() for a in axes if a.node_id in silent})
         self._raise_silence({a.name: s for a in axes if (s := a.silence())})
         if not expect_enabled:
@@ -215,10 +216,11 @@ class Cia402Group:
                 raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
 
     def _still_silent(self, silent: set[int]) -> set[int]:
-        """Of several nodes that did not answer, those that do not answer now either: one that was only late shall not
-        be named in the place of one that is gone. Nothing is forgiven for it: all is stopped first."""
+        """Of several nodes that did not answer, those that do not answer now either, or one of them if all were only
+        late: none that was late shall be named in the place of one that is gone. Nothing is forgiven for it: all is
+        stopped first."""
         self._stop_at_once()
-        return self._bus.exchange(silent) or silent
+        return self._bus.exchange(silent) or {min(silent)}
 
     # moving
 

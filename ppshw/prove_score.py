@@ -227,9 +227,9 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
 def least_left(
     machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, names: Collection[Name]
 ) -> float | None:  # fmt: skip
-    """The least √λ, as in `bound`, that the true field leaves beside any form that the library has of one of these
-    effects at these joints, its coefficients free: below half power's 3.2 nobody could have told that name from the
-    truth by this recording. None where the library has no form of them.
+    """The least √λ, as in `bound`, that the true field leaves beside any single form of the library's grid of one of
+    these effects at these joints (of several names the least), its coefficients free: below half power's 3.2 nobody
+    could have told that name from the truth by this recording. None where the library has no form of them.
 
     field  (N, T, 3) how the true effect moves the reflectors [m]
     """

@@ -182,10 +182,10 @@ class CanopenNode:
         """Inputs are sampled and sent first, then what came since the last SYNC takes effect (CiA 301 §7.2.2.2)."""
         if not self.operational:
             return
-        if self.late:
-            self.late -= 1
-            return
         with self.lock:
+            if self.late:
+                self.late -= 1
+                return
             self.tick()
             self._transmit(synchronous=True)
             for cob_id in list(self._waiting):

@@ -127,7 +127,8 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
-    candidates = library(space.context, without, moments, periods, bands, stairs(space)) + nameless(space.context)
+    jumps = [] if "zero_shift" in without else stairs(space)
+    candidates = library(space.context, without, moments, periods, bands, jumps) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.base.noise.repeatability, without)
@@ -139,7 +140,7 @@ def _look(
 
 def _as_believed(space: Workspace, base: Estimate, believed: Mask) -> Estimate:
     """An estimate for the believed visits (N,) that trusts none of them less than before: what looks odd to it may be
-    what the effect's form left, where it bends more than the form can."""
+    what the effect's form left, where it bends more than the form can. A visit that comes back is believed in full."""
     before = np.ones(len(believed))
     before[space.fit] = space.base.weights
     return replace(base, weights=np.maximum(base.weights, before[believed]))
@@ -163,7 +164,7 @@ def _answer(
     unexplained = left_at_a_place(space, gross)
     if scatter is not None and not unnamed:
         findings.append(scatter.finding)
-    elif scatter is not None:
+    elif scatter is not None and unexplained is None:
         unexplained = scatter_without_a_name(space, scatter)
     if left:
         unexplained = _unexplained(space, tried, max(left, key=lambda f: f.evidence))

@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
-from ppshw.diagnosis.evidence import corrected_residual
+from ppshw.diagnosis.evidence import MOST_OF_NOISE, corrected_residual
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # A visit is wrong when noise would do this to one visit in a thousand recordings.
 GROSS = 1e-3
-FAR, FAR_AMONG_SWINGS = 6.0, 15.0  # times the mean square of noise, at least; where some visits swing more than others
+FAR = 6.0  # times the mean square of noise, at least; where some visits swing more than others MOST_OF_NOISE
 # A lone visit may be the one that a heavier tail than normal leaves among hundreds: it is wrong when it is six times as
 # far off as noise. Five lone visits in sealed cases were off 4 to 6 times, by nothing but such tails; wrong ones, 2 to
 # 11 in each of twenty recordings, 2.5 to 24 times.
@@ -28,7 +29,7 @@ TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's tra
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.001
 LITTLE = 0.05  # of the noise's variance: what swings less than that in a direction swings no less
-PLACES = 12  # along a joint's travel
+PLACES, SOME = 12, 5  # along a joint's travel; visits without which one is none
 PERMUTATIONS = 1999
 SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
@@ -142,7 +143,7 @@ def _limit(space: Workspace, distance: Array, freedom: Array, scale: float) -> A
     tail = chi2.sf(distance / scale, freedom)
     swings = int(((tail < IN_BETWEEN) & (distance < FAR * scale * freedom)).sum())
     heavy = space.calmed or binom.sf(swings - 1, len(distance), IN_BETWEEN) < HEAVY
-    least = FAR_AMONG_SWINGS if heavy else FAR
+    least = MOST_OF_NOISE if heavy else FAR
     return np.asarray(scale * np.maximum(chi2.isf(GROSS / len(distance), freedom), least * freedom))
 
 
@@ -253,8 +254,16 @@ def scatter_without_a_name(space: Workspace, scatter: Scatter) -> dict[str, Any]
     """Scatter, in the contract's words for what is unexplained: what it goes with; the rms is of all that is left."""
     left, name = space.residual()[space.fit], scatter.finding["covariate"]
     values = space.recording.settle_s if name == "settle_s" else None
+    history = "scatter, not a bias"
+    if name == "load":
+        name = WRENCH_COMPONENTS[int(np.argmax(space.recording.wrench[:, :3].std(axis=0)))]
+    elif name.startswith("move"):
+        q = space.recording.q
+        pace = np.abs(np.diff(q, axis=0)).mean(axis=0) / np.maximum(np.ptp(q, axis=0), 1e-9)
+        joint = space.machine.joint_names[int(np.argmax(pace))] if name == "move length" else name.removeprefix("move_")
+        name, history = f"q_{joint}", f"of the last move, {history}"
     return {
-        "covariates": [name], "history": "scatter, not a bias", "frame": scatter.finding["frame"],
+        "covariates": [name], "history": history, "frame": scatter.finding["frame"],
         "component": scatter.finding["component"],
         "region": {} if values is None else {name: [float(values.min()), float(values.max())]},
         "rms_mm": float(np.sqrt(np.nansum(left**2) / max(int(space.recording.seen[space.fit].sum()), 1)) * 1e3),
@@ -291,11 +300,11 @@ def _standardised(columns: Array, fit: Mask) -> Array:
 
 
 def _places(space: Workspace) -> Array:
-    """Where each joint is along its travel, (N, joints · PLACES): a hat over every place."""
+    """Where each joint is along its travel, (N, joints · PLACES or fewer): a hat over every place that was visited."""
     q = space.recording.q[:, np.ptp(space.recording.q, axis=0) > 0]
     along = PLACES * (q - q.min(axis=0)) / np.ptp(q, axis=0)
-    hats = 1.0 - np.abs(along[:, :, None] - (np.arange(PLACES) + 0.5))
-    return np.asarray(np.maximum(hats, 0.0).reshape(len(q), -1))
+    hats = np.maximum(1.0 - np.abs(along[:, :, None] - (np.arange(PLACES) + 0.5)), 0.0).reshape(len(q), -1)
+    return np.asarray(hats[:, (hats[space.fit] > 0).sum(axis=0) >= SOME])  # a lone visit is no place
 
 
 def _sizes(residual: Array, along: Array) -> Array:

@@ -14,9 +14,9 @@ from ppshw.diagnosis.library import Candidate
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
 # stiffness 4.1 % (24610).
 AKIN = 0.98
-# A gap may change with a temperature, a load or time, or let go sideways too, and is still one, if most of it is always
-# there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut warmed, 0.90
-# by one that tilts (two other authors' 10061, 10075, 8001).
+# A gap may change with a temperature, a load, time or the time to settle, or let go sideways too, and is still one,
+# if most of it is always there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut
+# warmed, 0.90 by one that tilts (two other authors' 10061, 10075, 8001).
 ALWAYS = 0.85
 SMOOTH = frozenset({"covariate", "load_legendre"})
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
@@ -38,7 +38,7 @@ def of_its_kind(named: Candidate, rival: Candidate, parallel: Collection[str] = 
             return here and all(column.function == "step" for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
-            shifts = not (rival.component or "").startswith("r")
+            shifts = not any((k.component or "").startswith("r") for k in (named, rival))
             there = rival.frame == named.frame or (shifts and {rival.frame, named.frame} <= {"base", *parallel})
             return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "periodic_transmission":  # a band of waves over its own position, its own among them
@@ -58,9 +58,11 @@ def counts(named: Candidate, rival: Candidate) -> float:
     """The share of a rival's evidence that counts against a name."""
     if named.effect == "nonlinear_stiffness" and _of_its_load(named, rival):
         return AKIN
-    same = (named.frame, named.component, named.covariate) == (rival.frame, rival.component, rival.covariate)
-    more = rival.covariates[:1] == (named.covariate,) and not same
-    return ALWAYS if named.effect == "backlash" and more else 1.0
+    if named.effect != "backlash" or rival.covariates[:1] != (named.covariate,):
+        return 1.0
+    here = (named.frame, named.component) == (rival.frame, rival.component)
+    winds_up = any(name.startswith("way_") for name in rival.covariates)  # as friction does
+    return 1.0 if here and (winds_up or len(rival.covariates) == 1) else ALWAYS
 
 
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:

@@ -97,6 +97,7 @@ def library(
              between all visits about them
     periods  of joints that seem to have a wave: what is tried at half waves over the travel is tried between them
     bands    of waves without a name that seem to be there across a joint's own direction: one of them may be all of it
+    stairs   moments of several jumps of a joint's zero that the recording speaks for most
     """
     makers = (
         _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
@@ -126,20 +127,19 @@ def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
 
 
 def _backlash(c: Context) -> Iterator[Candidate]:
-    if not c.recording.has_approach:
-        return
     for k, name in moving_joints(c):
-        if len(np.unique(c.recording.approach[:, k])) < 2:
-            continue
         own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
+        known = c.recording.has_approach and len(np.unique(c.recording.approach[:, k])) > 1
+        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}" if known else f"move_{name}")
+        for width, column in _taken_up(c, k, SOFT_WALLS):
+            yield Candidate(*where, (column,), {"width": width}, 0.05)
+        if not known:
+            continue
         sign = Column("frame", "approach", {"joint": k}, k + 1, own)
         drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
-        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
             yield Candidate(*where, columns, share=share)
-        for width, column in _taken_up(c, k, SOFT_WALLS):
-            yield Candidate(*where, (column,), {"width": width}, 0.05)
 
 
 def _friction(c: Context) -> Iterator[Candidate]:
@@ -354,7 +354,8 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
                         share if comp == b else 0.1 * share,
                     )  # fmt: skip
-            for wide in (0.02, 0.08, 0.17, 0.35):  # the gap is wider on one side than on the other
+            uneven = (0.02, 0.08, 0.17, 0.35) if _changes_side(c.wrenches[:, frame, b]) else ()
+            for wide in uneven:  # the gap is wider on one side than on the other
                 args = {"frame": frame, "component": b, "width": wide}
                 sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
                 at = COMPONENTS[b], WRENCH_COMPONENTS[b]
@@ -419,7 +420,8 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
             for power in (1, 2) for what in ("mass", "x", "y", "z")
         )  # fmt: skip
         for some in (chain[:1], (chain[0], chain[4]), chain):  # a cable chain hangs there, as long as its joint has it
-            yield Candidate("moving_weight", name, name, None, f"q_{name}", some, share=0.3)
+            if alive := _alive(c, some):
+                yield Candidate("moving_weight", name, name, None, f"q_{name}", alive, share=0.3)
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
             column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
@@ -433,9 +435,19 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
                     yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{after}", (column,), {}, 0.5)
 
 
+def _alive(c: Context, columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Those that do anything beside the largest: a channel that reads nothing, an axis that stays plumb do not."""
+    size = [float(np.abs(column.value(c)).max()) for column in columns]
+    return tuple(column for column, most in zip(columns, size, strict=True) if most > 1e-6 * max(size))
+
+
 def _wrench(c: Context) -> Iterator[Candidate]:
     if not c.recording.has_wrench:
         return
+    matrix = {
+        (to, source): Column("frames", "sensor_error", {"component": to, "source": source})
+        for to, source in itertools.product(range(6), repeat=2)
+    }
     for comp in range(6):
         where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
         yield Candidate(*where, (Column("frames", "sensor_error", {"component": comp}),))
@@ -449,24 +461,21 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             curve = Column("frames", "sensor_error", {"component": comp, "source": comp, "bent": bent})
             yield Candidate(*where, (curve,), share=0.5)
         for source in range(6):
-            args = {"component": comp, "source": source}
-            yield Candidate(*where, (Column("frames", "sensor_error", args),), share=1.0 if comp == source else 0.2)
+            yield Candidate(*where, (matrix[comp, source],), share=1.0 if comp == source else 0.2)
     gain = Column("frames", "sensor_error", {"component": -1})
     yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
-    matrix = {
-        (to, source): Column("frames", "sensor_error", {"component": to, "source": source})
-        for to, source in itertools.product(range(6), repeat=2)
-    }
     # a calibration matrix of its own: of every channel's gain, or of all that it has
-    yield Candidate("wrench_error", None, None, None, "load", tuple(matrix[k, k] for k in range(6)))
-    yield Candidate("wrench_error", None, None, None, "load", tuple(matrix.values()))
+    for some in ([matrix[k, k] for k in range(6)], [*matrix.values()]):
+        if alive := _alive(c, some):
+            yield Candidate("wrench_error", None, None, None, "load", alive)
     zeros = tuple(
         Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j})
         for comp, j in itertools.product(range(6), range(1, 7))
     )
-    yield Candidate("wrench_error", None, None, None, "time", zeros, share=0.5)
+    if alive := _alive(c, zeros):
+        yield Candidate("wrench_error", None, None, None, "time", alive, share=0.5)
     for source in range(3):
-        leak = tuple(Column("frames", "sensor_error", {"component": m, "source": source}) for m in (3, 4, 5))
+        leak = tuple(matrix[m, source] for m in (3, 4, 5))
         yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[source], leak)
     for place in temperature_places(c):
         for tau in LAGS_H:

@@ -23,7 +23,7 @@ from ppshw.terms.shapes import Column
 Array = NDArray[np.float64]
 # What counts as significant, family-wise: the first finding, and any beside it.
 FIRST, FURTHER = 0.05, 0.02
-MOST_FINDINGS, MOST_PIECES = 5, 8  # effects; findings, where an effect needs several
+MOST_FINDINGS, MOST_PIECES = 5, 8  # effects; what is taken up for them, where one acts in several directions
 # No finding without real odds, however quiet the null: e² = 7 to 1 against nothing (of 40 clean recordings three
 # reached e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
@@ -56,7 +56,8 @@ RIDDLE = 0.5
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
 # tilting joints, whose travel is short.
 SOFT, MAY_BE_PLAY = 8.0, 0.7
-PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability; the less, the more than FREE there are
+PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability; of more than FEW the less
+FEW = 6  # columns
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
@@ -128,7 +129,8 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
             total = _explained(space, tried, instead)
             if len(instead) <= len(found) - FEWER:
                 total += _against_riddles(instead)
-            if total > best + ANOTHER_START + EACH_MORE * max(0, _effects(instead) - _effects(found)):
+            total -= EACH_MORE * max(0, _effects(instead) - _effects(found))
+            if total > best + ANOTHER_START:
                 best, chosen = total, start
         if chosen is not None:  # whose first finding may be too quiet by itself beside what the null makes of all of it
             found = _greedy(space, tried, chosen, rng) or found
@@ -148,8 +150,9 @@ def _effects(found: Sequence[Found]) -> int:
 def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """A name stands while no rival without one says as much in its place as the name does by its bare form, or nearly
     as much as with all its near forms: what any smooth function fits as well is something else. Of one effect that acts
-    in several directions the loudest is asked, and the others go its way. What bears the same name for the same cause
-    elsewhere, and no louder, goes with it, and so does what the others then explain."""
+    in several directions the loudest (when it was found) is asked; where it stands the others do. What bears the name
+    of one that was given up, for the same cause and saying no more, goes with it, and so does what the others then
+    explain."""
     given_up: dict[tuple[str, str], float] = {}
     freely = tried.names.index(("nameless", None))
     stand: set[Name] = set()
@@ -280,10 +283,10 @@ def _greedy(
     rng    of the null; None: evidence alone decides, and p is nan
     """
     found: list[Found] = []
-    tries = 0
     take_up(space, tried, found)
-    while _effects(found) < MOST_FINDINGS and len(found) < MOST_PIECES and tries < MOST_PIECES:
-        tries += 1
+    for _ in range(MOST_PIECES):
+        if _effects(found) == MOST_FINDINGS:
+            break
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
@@ -473,7 +476,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.at = len(laid)
         candidate = tried.candidates[f.best]
         laid += [tried.value(c) for c in candidate.columns]
-        many = min(1.0, FREE / len(candidate.columns))
+        many = min(1.0, FEW / len(candidate.columns))
         prior += (many * PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
             laid.append(tried.value(column))

@@ -28,6 +28,8 @@ def stairs(space: Workspace) -> list[Stairs]:
     which the load was changed."""
     c = space.context
     moments, joints = _not_with_the_load(c, visits_between(c)), list(moving_joints(c))
+    if not moments or not joints:
+        return []
     laid = Laid(space, [shift_of_zero(c, k, t) for k, _ in joints for t in moments])
     scores = laid.product(space.absorb(space.y[:, None]))[:, 0].reshape(len(joints), -1)
     of_joint = np.arange(scores.size).reshape(scores.shape)
@@ -52,12 +54,16 @@ def _best_sets(scores: Array, information: Array) -> list[list[int]]:
     chosen: list[int] = []
     out = []
     while len(chosen) < min(MOST_JUMPS, len(scores)):
-        chosen = [*chosen, _next(scores, information, chosen)]
+        another = _next(scores, information, chosen)
+        if another is None:
+            break
+        chosen = [*chosen, another]
         for _ in range(AGAIN if len(chosen) > 1 else 0):
             before = list(chosen)
             for at in range(len(chosen)):
                 others = chosen[:at] + chosen[at + 1 :]
-                chosen[at] = _next(scores, information, others)
+                better = _next(scores, information, others)
+                chosen[at] = chosen[at] if better is None else better
             if chosen == before:
                 break
         if len(chosen) > 1:
@@ -65,8 +71,8 @@ def _best_sets(scores: Array, information: Array) -> list[list[int]]:
     return out
 
 
-def _next(scores: Array, information: Array, others: list[int]) -> int:
-    """The column that explains most beside others."""
+def _next(scores: Array, information: Array, others: list[int]) -> int | None:
+    """The column that explains most beside others; None where nothing is left of any."""
     size = np.diag(information)
     cross = information[:, others]
     both = np.column_stack([scores[others], cross.T])
@@ -75,4 +81,6 @@ def _next(scores: Array, information: Array, others: list[int]) -> int:
     own = size - np.einsum("kj,jk->k", cross, weights[:, 1:])
     seen = own > 1e-6 * np.maximum(size, 1e-30)
     seen[others] = False
+    if not seen.any():
+        return None
     return int(np.argmax(np.where(seen, left**2 / np.where(seen, own, 1.0), -1.0)))

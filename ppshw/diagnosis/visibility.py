@@ -155,7 +155,7 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
 def _named(tried: Tried) -> Iterator[tuple[Batch, Array]]:
     """The candidates that have a name, and the information of each, given the base model alone."""
     for batch, info in zip(tried._batches, tried._info0, strict=True):
-        mine = np.array([tried.names[j][0] != "nameless" for j in tried.name_of[batch.which]])
+        mine = ~tried._nameless[tried.name_of[batch.which]]
         if mine.any():
             yield replace(batch, which=batch.which[mine], columns=batch.columns[mine]), info[mine]
 

@@ -146,6 +146,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
         units = [_per_load(unit, candidate.covariate)] * len(values)
     elif candidate.effect == "wrench_error":
+        names = [_misread_name(column.args) for column in candidate.columns]
         units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap", "half_difference"][: len(values)]
@@ -165,6 +166,20 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     for name, value in candidate.shape.items():
         out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit, candidate.covariate)}
     return out
+
+
+def _misread_name(args: Mapping[str, Any]) -> str:
+    """Which channel is off, and with what it goes: its own reading or another's, time, or a temperature."""
+    of, source = args["component"], args.get("source", -1)
+    if of < 0:
+        return "gain"
+    name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
+    if args.get("bent"):
+        return f"{name}_{args['bent']}"
+    if args.get("time") == "cosine":
+        return f"{name}_zero_wave_{args['tau']:g}"
+    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
+    return name + (kelvin or "_zero" * (source < 0) + "_per_hour" * (args.get("time") == "linear"))
 
 
 def _misread(args: Mapping[str, Any]) -> str:
@@ -234,7 +249,7 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
-        "wrench_error": f"the force sensor's {candidate.covariate} is off in gain, cross-talk or zero ({size}).",
+        "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero jumped by {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
@@ -254,6 +269,11 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
     return said[0].lstrip("+-") if len(said) == 1 else " and ".join(said)
+
+
+def _channels(candidate: Candidate) -> str:
+    one = candidate.covariate in WRENCH_COMPONENTS
+    return f"{candidate.covariate} is off" if one else f"channels are off, with the {candidate.covariate},"
 
 
 def _change(candidate: Candidate) -> str:

@@ -298,9 +298,10 @@ def load_turn(c: Context, frame: int, component: int, joint: int, order: int, ph
     return np.asarray(c.wrenches[:, frame, component] * (np.sin(angle) if phase == "sin" else np.cos(angle)))
 
 
-def _spread(c: Context, frame: int, component: int) -> float:
-    """Standard deviation of a component of the wrench on a frame."""
-    return max(c.frozen(f"spread.{frame}.{component}", float(c.wrenches[:, frame, component].std())), 1e-9)
+def _spread(c: Context, frame: int, component: int, of: str = "") -> float:
+    """Standard deviation of a component of the wrench on a frame, or of what `load_of` takes of it."""
+    key = f"spread.{frame}.{component}{'.' if of else ''}{of}"
+    return max(c.frozen(key, float(load_of(c, frame, component, of).std())), 1e-9)
 
 
 def _most(c: Context, frame: int, component: int) -> float:
@@ -327,9 +328,7 @@ def load_side(
     of      "payload": by what the payload does to it alone, as if its own weight were balanced
     either  how far from the middle, to whichever side: 0 … 1; beside the former, a gap that is wider on one side
     """
-    w = load_of(c, frame, component, of)
-    spread = max(c.frozen(f"spread.{frame}.{component}{'.' if of else ''}{of}", float(w.std())), 1e-9)
-    side = np.tanh((w / spread - offset) / width)
+    side = np.tanh((load_of(c, frame, component, of) / _spread(c, frame, component, of) - offset) / width)
     return np.asarray(np.abs(side) if either else side)
 
 

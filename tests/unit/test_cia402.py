@@ -281,7 +281,7 @@ def test_a_node_that_is_late_alone_is_no_less_a_reason_to_stop(machine: Machine)
     with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
         machine.group.move({"lift": 0.3})
     machine.group.start()
-    for name in ("slide", "lift"):
+    for name in ("slide", "lift", "slew"):
         machine.drive(name).late = 1
     with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
         machine.group.move({"lift": 0.3})

@@ -193,7 +193,7 @@ def test_scatter_without_its_name_is_unexplained_over_the_column_it_goes_with(cl
     found = scatter_of(noisy, 0, nameless=True)
     assert found is not None
     said = scatter_without_a_name(noisy, found)
-    assert (said["covariates"], said["history"], said["component"]) == (["load"], "scatter, not a bias", None)
+    assert (said["covariates"], said["history"], said["component"]) == (["Fy"], "scatter, not a bias", None)
     assert said["p_value"] <= 0.001
     assert said["rms_mm"] > scatter_without_a_name(clean, found)["rms_mm"]
     assert len(gross._may_scatter(noisy, nameless=True)) < len(gross._may_scatter(noisy, nameless=False))

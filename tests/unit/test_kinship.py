@@ -57,6 +57,8 @@ def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> No
         assert of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"), rails)
         assert not of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"))
     assert not of_its_kind(named, _rival("base", "rx", "late_2_temp_air_C"), rails)
+    bends = _named("thermal_growth", "vertical", "vertical", "rz", "temp_air_C")
+    assert not of_its_kind(bends, _rival("base", None, "late_2_temp_air_C"), rails)
     assert not of_its_kind(named, _rival("base", "tx", "time"), rails)
     assert not of_its_kind(named, _rival("yaw", "tx", "late_2_temp_air_C"), rails)
     turning = _named("thermal_growth", "yaw", "yaw", None, "temp_air_C")
@@ -75,6 +77,7 @@ def test_a_gap_that_goes_with_something_or_tilts_is_a_gap_if_most_of_it_is_alway
         _rival("yaw", "ry", "approach_yaw", function="approach"),
         _rival("yaw", "ry", "approach_roll", "temp_air_C", function="approach"),
         _rival("yaw", "ry", "q_yaw", "approach_yaw"),
+        _rival("yaw", "ry", "approach_yaw", "way_yaw", function="reversal"),
     ):
         assert counts(named, other) == 1.0
 

@@ -49,7 +49,9 @@ def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped
     load = np.array(slipped.recording.load)
     load[JUMPS_WITH_LOAD:] = "another"
     changed = replace(slipped, context=replace(slipped.context, recording=replace(slipped.recording, load=tuple(load))))
-    for moments in (moments for name, moments in stairs(changed) if name == joint):
+    without_it = [moments for name, moments in stairs(changed) if name == joint]
+    assert len(without_it) == 3
+    for moments in without_it:
         assert JUMPS_WITH_LOAD not in np.searchsorted(hours, moments)
 
     without_drift = frozenset({"drift", "periodic_transmission", "cross_coupling", "target_moved"})
@@ -68,6 +70,12 @@ def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped
     assert list(parameters_of(best, values, values)) == [
         "step", "second_step", "third_step", "time_h", "second_time_h", "third_time_h"
     ]  # fmt: skip
+
+
+def test_a_machine_that_stands_still_has_no_stairs(clean: Workspace) -> None:
+    recording = clean.recording
+    still = replace(recording, q=np.tile(recording.q[:1], (len(recording), 1)))
+    assert stairs(replace(clean, context=replace(clean.context, recording=still))) == []
 
 
 def test_noise_has_no_stairs_that_are_worth_the_sets_they_were_chosen_from(clean: Workspace) -> None:
