@@ -128,13 +128,12 @@ def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
 
 def _backlash(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
+        if not _came_from_both_sides(c, k):
+            continue
         own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
-        known = c.recording.has_approach and len(np.unique(c.recording.approach[:, k])) > 1
-        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}" if known else f"move_{name}")
+        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for width, column in _taken_up(c, k, SOFT_WALLS):
             yield Candidate(*where, (column,), {"width": width}, 0.05)
-        if not known:
-            continue
         sign = Column("frame", "approach", {"joint": k}, k + 1, own)
         drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
@@ -145,8 +144,14 @@ def _backlash(c: Context) -> Iterator[Candidate]:
 def _friction(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
-        for width, column in _taken_up(c, k, WINDS_UP):
+        # where nobody knows from which side a joint came, lost motion of any kind is friction
+        parts = WINDS_UP if _came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
+        for width, column in _taken_up(c, k, parts):
             yield Candidate(*where, (column,), {"width": width})
+
+
+def _came_from_both_sides(c: Context, k: int) -> bool:
+    return c.recording.has_approach and len(np.unique(c.recording.approach[:, k])) > 1
 
 
 def _taken_up(c: Context, k: int, parts: Array) -> Iterator[tuple[float, Column]]:
