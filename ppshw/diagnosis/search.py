@@ -284,8 +284,8 @@ def _greedy(
     """
     found: list[Found] = []
     take_up(space, tried, found)
-    for _ in range(MOST_PIECES):
-        if _effects(found) == MOST_FINDINGS:
+    for tries in range(MOST_PIECES):
+        if tries == MOST_FINDINGS + len(found) - _effects(found):
             break
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
