@@ -285,7 +285,7 @@ def _greedy(
     found: list[Found] = []
     take_up(space, tried, found)
     for tries in range(MOST_PIECES):
-        if tries == MOST_FINDINGS + len(found) - _effects(found):
+        if tries >= MOST_FINDINGS + len(found) - _effects(found):
             break
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
