@@ -10,7 +10,7 @@ instrument leave of a perfect model, "× bound" the ratio to the Bayesian Cramé
 
 from __future__ import annotations
 
-import ppshw.one_thread  # noqa: F401  # isort: skip  before numpy comes in with the rest
+import ppshw.process  # noqa: F401  # isort: skip  before numpy comes in with the rest
 
 import argparse
 import tempfile

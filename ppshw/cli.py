@@ -6,7 +6,7 @@ with --json nothing else does; prompts and progress go to stderr.
 
 from __future__ import annotations
 
-import ppshw.one_thread  # noqa: F401  # isort: skip  before numpy comes in with the rest
+import ppshw.process  # noqa: F401  # isort: skip  before numpy comes in with the rest
 
 import argparse
 import errno

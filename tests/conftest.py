@@ -1,10 +1,8 @@
-"""For all tests: one thread per worker, and the right four packages."""
+"""For all tests: the process as the program has it (two workers share two cores), and the right four packages."""
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there: two workers share two cores
+import ppshw.process  # isort: skip  before numpy is there
 
 from pathlib import Path
 

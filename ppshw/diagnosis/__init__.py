@@ -27,7 +27,7 @@ from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
 from ppshw.diagnosis.stairs import stairs
 from ppshw.diagnosis.visibility import visibility
-from ppshw.diagnosis.wording import column_of, finding, history_of
+from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, estimate
@@ -131,7 +131,7 @@ def _look(
     candidates = library(space.context, without, moments, periods, bands, jumps) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
-    tried = Tried(space, candidates, space.base.noise.repeatability, without)
+    tried = Tried(space, candidates, space.unit, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)
@@ -202,14 +202,14 @@ def _noise_floor(space: Workspace) -> float:
 
 def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
     candidate = tried.candidates[f.best]
-    said = [column_of(name) for name in candidate.covariates[:2]]
+    said = stand_ins(space.context, candidate)[:2]
     region = {}
     for column, _ in said:
         values = named_column(space.context, column)
         region[column] = [float(np.nanmin(values)), float(np.nanmax(values))]
     said += [(name, f"times {name}") for name in candidate.covariates[2:]]
     return {
-        "covariates": list(region) or [candidate.covariate],  # what is no column: a reflector, the distance
+        "covariates": list(region),
         "history": history_of(said),
         "frame": candidate.frame,
         "component": candidate.component,

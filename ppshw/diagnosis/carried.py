@@ -66,7 +66,7 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     for left in _left_over(tried, found):
         others = beside & ~left.instead
         space.take_up(*_with(taken[:, :, others], prior[others], more))
-        correction = learn(space, left.names, tried.repeatability)
+        correction = learn(space, left.names, tried.unit)
         if correction is None:
             continue
         columns = np.stack([c.evaluate(space.context) for c in correction.columns()], axis=2)

@@ -2,7 +2,7 @@
 
 Each check is one number of the whitened residual, taken of the recording and of replicas that the model made itself
 (`replicas`), so that what the fit absorbs is in the null. Ranks are exact whatever the number's distribution. A model
-that is right fails one check in twenty at p = 0.05, by chance: fourteen or fifteen are made. docs/diagnosis.md §7.
+that is right fails one check in twenty at p = 0.05, by chance: fourteen to sixteen are made. docs/diagnosis.md §7.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
-# A check is said to fail below this: with fourteen or fifteen of them, one recording in fourteen or so does by chance.
+# A check is said to fail below this: with fourteen to sixteen of them, one recording in fourteen or so does by chance.
 ODD = 0.005
 # The kinds of dependence that the map of `locate` looks at, as checks.
 DEPENDS = {
@@ -31,6 +31,7 @@ DEPENDS = {
     "load": "dependence on the load",
     "temperature": "dependence on a temperature",
     "other": "dependence on another column",
+    "pause": "dependence on the pause before a visit",
     "time": "dependence on time, in blocks",
 }
 

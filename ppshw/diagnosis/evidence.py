@@ -53,17 +53,18 @@ class Tried:
     model.
 
     scale, seen  (K,)  of every column: rms at the reflectors per unit [m]; ZᵀV⁻¹Z
+    unit         what sizes are measured in, rms at the reflectors [m]: `Workspace.unit`
     without      effects that were left out of the candidates
     """
 
     @all_kept()
     def __init__(
-        self, space: Workspace, candidates: Sequence[Candidate], repeatability: float,
+        self, space: Workspace, candidates: Sequence[Candidate], unit: float,
         without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
         self.without = without
         self.candidates = list(candidates)
-        self.repeatability = repeatability
+        self.unit = unit
         self.space = space
         unique: dict[Key, int] = {}
         columns: list[Column] = []
@@ -190,7 +191,7 @@ class Tried:
         else:
             lengths, turn = np.linalg.eigh(info)
             along = (np.swapaxes(turn, 1, 2) @ scores) ** 2
-        prior = (np.array(AMPLITUDES) * self.repeatability) ** 2 / k
+        prior = (np.array(AMPLITUDES) * self.unit) ** 2 / k
         whole = 1.0 + prior[:, None] * np.maximum(lengths, 0.0)[:, None]  # (C, 3, k)
         return np.asarray(0.5 * ((prior[:, None] / whole) @ along - np.log(whole).sum(axis=2)[..., None]))
 
@@ -203,7 +204,7 @@ class Tried:
         square = np.einsum("ck,ck->c", scores, scores)
         bordered, doubtful = np.empty((count, k + 1, k + 1)), np.zeros(count, dtype=bool)
         for a, amplitude in enumerate(AMPLITUDES):
-            prior = (amplitude * self.repeatability) ** 2 / k
+            prior = (amplitude * self.unit) ** 2 / k
             bordered[:, :k, :k] = prior * info + np.eye(k)
             bordered[:, k, :k] = np.sqrt(prior) * scores
             bordered[:, k, k] = 1.0 + prior * square

@@ -65,6 +65,11 @@ def _thermal(c: Context, k: Candidate) -> list[Column]:
     joint = c.machine.joint_names.index(str(k.joint))
     if k.columns[0].function == "link_growth":
         return [Column("frames", "link_growth", {**args, "tau": tau}) for tau in LAGS_H]
+    if len(k.columns) == 6:
+        return [
+            Column("frame", "temperature", {**args, "tau": tau}, each.frame, each.component)
+            for each in k.columns for tau in LAGS_H[:-1]
+        ]  # fmt: skip
     out = []
     for tau in LAGS_H[:-1]:
         out.append(_on(k, "temperature", place=args["place"], tau=tau))

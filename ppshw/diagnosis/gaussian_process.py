@@ -29,7 +29,7 @@ from ppshw.terms.shapes import Column, named_column
 Array = NDArray[np.float64]
 LENGTHS = (0.25, 0.5, 1.0, 2.0)  # tried for every column, in its standard deviations
 FIRST_LENGTH = 0.7  # with which the frame is looked for
-SIZES = tuple(np.geomspace(0.1, 10.0, 13).tolist())  # rms at the reflectors, in units of the repeatability
+SIZES = tuple(np.geomspace(0.1, 10.0, 13).tolist())  # rms at the reflectors, in units of `Workspace.unit`
 MORE = 3.0  # log evidence for which a further component is taken in
 TOLD = 0.05  # a direction's information, in units of its prior's, from which on it is carried
 MOST_MODES = 64
@@ -102,7 +102,7 @@ def log_evidence(info: Array, score: Array, sigma: Array) -> float:
     return float(0.5 * along @ along - np.log(np.diag(lower)).sum())
 
 
-def learn(space: Workspace, names: tuple[str, ...], repeatability: float) -> Correction | None:
+def learn(space: Workspace, names: tuple[str, ...], unit: float) -> Correction | None:
     """The likeliest Gaussian process over these columns of the recording; None where nothing is likelier.
 
     space  has the named findings taken up, and none of what the correction is to explain
@@ -112,28 +112,28 @@ def learn(space: Workspace, names: tuple[str, ...], repeatability: float) -> Cor
     if not np.isfinite(fitted).all() or (np.ptp(fitted, axis=0) <= 0).any():
         return None
     model = _Evidence(space)
-    unit = _unit_sizes(space, repeatability)
+    sizes = _unit_sizes(space, unit)
     region = Region.over(names, fitted, np.full(len(names), FIRST_LENGTH))
     phi = region.basis(values)
-    places = [(f, c) for f in range(unit.shape[0]) for c in range(6) if np.isfinite(unit[f, c])]
-    frame, component = max(places, key=lambda p: _one(model, phi, p[0], p[1], float(unit[p]))[0])
+    places = [(f, c) for f in range(sizes.shape[0]) for c in range(6) if np.isfinite(sizes[f, c])]
+    frame, component = max(places, key=lambda p: _one(model, phi, p[0], p[1], float(sizes[p]))[0])
     tried = []
     for lengths in itertools.product(LENGTHS if len(names) < 3 else LENGTHS[2:], repeat=len(names)):
         region = Region.over(names, fitted, np.array(lengths))
-        found, size = _one(model, region.basis(values), frame, component, float(unit[frame, component]))
+        found, size = _one(model, region.basis(values), frame, component, float(sizes[frame, component]))
         tried.append((found, size, region))
     evidence, size, region = max(tried, key=lambda t: t[0])
     phi = region.basis(values)
-    chosen, evidence = _components(model, phi, frame, {component: size}, evidence, unit[frame])
+    chosen, evidence = _components(model, phi, frame, {component: size}, evidence, sizes[frame])
     evidence -= float(np.log(len(places) * len(tried)))  # the likeliest of so many is so much less likely
     return None if evidence <= 0 else _correction(model, region, phi, frame, chosen, evidence)
 
 
-def _unit_sizes(space: Workspace, repeatability: float) -> Array:
-    """(n+1, 6) [m, rad] of every component that move the reflectors by the repeatability, rms; inf for none."""
+def _unit_sizes(space: Workspace, unit: float) -> Array:
+    """(n+1, 6) [m, rad] of every component that move the reflectors by that much, rms; inf for none."""
     readings = max(int(space.recording.seen.sum()), 1)
     scale = np.sqrt((space.context.jacobian**2).sum(axis=(0, 1)) / readings)
-    return np.where(scale > 1e-12, repeatability / np.maximum(scale, 1e-12), np.inf)
+    return np.where(scale > 1e-12, unit / np.maximum(scale, 1e-12), np.inf)
 
 
 def _one(model: _Evidence, phi: Array, frame: int, component: int, unit: float) -> tuple[float, float]:

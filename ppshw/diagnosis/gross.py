@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
+from scipy.stats import f as f_distribution
 
 from ppshw.diagnosis.evidence import MOST_OF_NOISE, corrected_residual
 from ppshw.diagnosis.workspace import Workspace
@@ -25,6 +26,9 @@ FAR = 6.0  # times the mean square of noise, at least; where some visits swing m
 # 11 in each of twenty recordings, 2.5 to 24 times.
 ALONE = 36.0
 IN_BETWEEN, HEAVY = 1e-3, 0.02  # tails are heavy where so few visits of noise would swing that far, by such a chance
+# Degrees of freedom that the multivariate t may have of which noise is taken to be where its tails are heavy; the share
+# of visits, those nearest, that say which; and by how much log likelihood less the heaviest still may be it.
+TAILS, NEAREST, AS_LIKELY = (3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 120.0, 1e6), 0.95, 2.0
 TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's travel
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 SCATTER = 0.001
@@ -143,13 +147,42 @@ def _limit(space: Workspace, distance: Array, freedom: Array, scale: float) -> A
     tail = chi2.sf(distance / scale, freedom)
     swings = int(((tail < IN_BETWEEN) & (distance < FAR * scale * freedom)).sum())
     heavy = space.calmed or binom.sf(swings - 1, len(distance), IN_BETWEEN) < HEAVY
-    least = MOST_OF_NOISE if heavy else FAR
+    least: Array | float = FAR
+    if heavy:  # unless the many that are near say that the few between are no noise
+        least = np.minimum(MOST_OF_NOISE, _beyond(distance, freedom, _tails(distance, freedom)[1]) / (scale * freedom))
     return np.asarray(scale * np.maximum(chi2.isf(GROSS / len(distance), freedom), least * freedom))
 
 
 def _wrong(far: Mask, distance: Array, freedom: Array, scale: float) -> bool:
     """Whether any visits far off are simply wrong: several are, a lone one if it is very far; (V,) of V visits each."""
-    return int(far.sum()) > 1 or bool((distance[far] > ALONE * scale * freedom[far]).any())
+    if int(far.sum()) != 1:
+        return bool(far.any())
+    likeliest = _beyond(distance, freedom, _tails(distance, freedom)[0])
+    return bool((distance > np.maximum(ALONE * scale * freedom, likeliest))[far].any())
+
+
+def _tails(distance: Array, freedom: Array) -> tuple[float, float]:
+    """Degrees of freedom of the multivariate t that the visits' squared distances (V,) are likeliest of, and the fewest
+    that are nearly as likely. Only the nearest say it, of the others no more than that they are farther: what is simply
+    wrong is among them. Its d²/p is F distributed (p, ν)."""
+    mean = distance / freedom
+    edge, middle = float(np.quantile(mean, NEAREST)), float(np.median(mean))
+    near = mean <= edge
+    said = []
+    for nu in TAILS:
+        scale = middle / float(f_distribution.median(np.median(freedom), nu))
+        said.append(
+            float(np.sum(f_distribution.logpdf(mean[near] / scale, freedom[near], nu) - np.log(scale)))
+            + float(np.sum(f_distribution.logsf(edge / scale, freedom[~near], nu)))
+        )
+    best = int(np.argmax(said))
+    return TAILS[best], TAILS[int(np.argmax(np.array(said) > said[best] - AS_LIKELY))]
+
+
+def _beyond(distance: Array, freedom: Array, nu: float) -> Array:
+    """(V,) squared distances that noise of such tails reaches in one of a thousand recordings."""
+    scale = float(np.median(distance / freedom)) / f_distribution.median(np.median(freedom), nu)
+    return np.asarray(scale * freedom * f_distribution.isf(GROSS / len(distance), freedom, nu))
 
 
 def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:

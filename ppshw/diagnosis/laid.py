@@ -192,7 +192,7 @@ def _sorted(columns: Sequence[Column]) -> tuple[dict[tuple[int, int], list[int]]
 
 
 def side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
-    """Parts that write to places of their own, on several cores: each is a product in one thread (`one_thread`)."""
+    """Parts that write to places of their own, on several cores: each is a product in one thread (`process`)."""
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as threads:
         list(threads.map(work, parts))
 

@@ -53,6 +53,8 @@ FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
 BALANCED = (0.35, 0.5, 0.65)  # shares of the visits below the load at which one falls that never changes sign
 # Powers of polynomials in two positions, to the ninth order: five half waves of one where there are four of the other.
 FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
+# Moments that change by less bend nothing: a weak joint of 1e-4 rad/(N m) turns by 5 µrad. The heaviest chain: 100 N.
+LEAST_MOMENT, HEAVIEST_CHAIN = 0.05, 100.0  # N m (standard deviation over the visits), N
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 
 
@@ -104,7 +106,7 @@ def library(
         _wrench, _creep, _creep_from_nothing, _missing_compliance,
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
-    found += [k for make in (_drift, _target) for k in make(c, _with_more(c, moments))]
+    found += [k for make in (_drift, _target, _sensor_jumps) for k in make(c, _with_more(c, moments))]
     found += [*_periodic(c, periods), *_periodic_across(c, bands), *_zero_shift(c, stairs)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
@@ -176,6 +178,9 @@ def _thermal(c: Context) -> Iterator[Candidate]:
                     where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
                     yield Candidate(*where, (flat,), {"lag_h": tau}, 0.5)
                     yield Candidate(*where, (flat, grows), {"lag_h": tau}, 1.0 if comp == own else 0.2)
+                any_way = tuple(Column("frame", "temperature", args, k + 1, comp) for comp in range(6))
+                # bends and shifts, as its own shape has it
+                yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", any_way, {"lag_h": tau}, 0.2)
     for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H[::2]):
         for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
             sides = tuple(
@@ -430,12 +435,12 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
             column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
-            if np.ptp(column.value(c)) > 0:
+            if float(np.std(column.value(c))) > LEAST_MOMENT:
                 yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (column,), {}, 0.5)
             if frame < c.machine.n:
                 args = {"frame": frame, "component": b, "joint": frame}
                 column = Column("frame", "hanging", args, frame, b)
-                if np.ptp(column.value(c)) > 0:
+                if HEAVIEST_CHAIN * float(np.std(column.value(c))) > LEAST_MOMENT:
                     after = c.machine.joint_names[frame]
                     yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{after}", (column,), {}, 0.5)
 
@@ -491,6 +496,16 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             yield Candidate(*where, every, {"lag_h": tau}, 0.5)
             for column in every:
                 yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
+
+
+def _sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
+    """A channel's zero is another from some moment on."""
+    if not c.recording.has_wrench:
+        return
+    for comp, moment in itertools.product(range(6), moments):
+        jump = Column("frames", "sensor_error", {"component": comp, "time": "step", "tau": moment})
+        where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
+        yield Candidate(*where, (jump,), {"time_h": moment}, 1.0 / len(moments))
 
 
 def temperature_places(c: Context) -> list[str]:

@@ -141,6 +141,7 @@ def _covariates(c: Context) -> Iterator[Covariate]:
                 yield Covariate((name,), "load", _cosines(r.wrench[:, k]))
     if len(set(r.load)) > 1:
         yield Covariate(("since_load_change",), "load", _cosines(named_column(c, "since_load_change")))
+    yield Covariate(("pause",), "pause", _cosines(named_column(c, "pause")))
     for place in r.temperatures:
         yield Covariate((f"temp_{place}_C",), "temperature", _cosines(r.temperatures[place]))
     for name in r.covariates:

@@ -90,6 +90,7 @@ def _columns(c: Context) -> list[str]:
     out = [*joints, "time", "since_load_change"]
     out += [f"temp_{p}_C" for p in r.temperatures if np.isfinite(r.temperatures[p]).all()]
     out += _came_from(c) + _nobody_knows(c)
+    out += ["pause"] if np.ptp(named_column(c, "pause")) > 0 else []
     if np.isfinite(r.settle_s).all():
         out.append("settle_s")
     if r.has_wrench:
@@ -106,7 +107,7 @@ def _came_from(c: Context) -> list[str]:
 def _anywhere(c: Context) -> set[str]:
     """Of what no name knows no place is likelier than another."""
     late = (name for name in _late(c) if "_temp_" not in name)
-    return {*_nobody_knows(c), *late, *_came_from(c), "former_load"}
+    return {*_nobody_knows(c), *late, *_came_from(c), "pause", "former_load"}
 
 
 def _bumps(name: str, frame: int, comp: int) -> list[Column]:
@@ -252,14 +253,14 @@ def _under_load(c: Context) -> Iterator[Candidate]:
 def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:
     """Where no sensor says what hangs there, a frame bears the machine's own weight (N,): what depends on it is said to
     depend on the positions it changes with most."""
-    positions = _most_alike(c, load)
+    positions = most_alike(c, load)
     for candidate in found:
         beside = [name for name in candidate.covariates if name.startswith("temp_")]
         names = (*positions[: 1 if beside else 2], *beside)
         yield replace(candidate, covariate=" × ".join(names), covariates=names)
 
 
-def _most_alike(c: Context, values: Array) -> tuple[str, ...]:
+def most_alike(c: Context, values: Array) -> tuple[str, ...]:
     """Positions, the one first that says most of what values (N,) are."""
     left = {}
     for k, name in moving_joints(c):
@@ -295,7 +296,7 @@ def _of_what_was_read(c: Context) -> Iterator[Candidate]:
 def _pulls(c: Context) -> Iterator[Candidate]:
     """Something pulls at the end effector, the more the farther it reaches: hoses, cables."""
     reach = named_column(c, "reach")
-    nearest = _most_alike(c, reach)[:2]
+    nearest = most_alike(c, reach)[:2]
     for axis in range(4):
         pull = [Column("frames", "pulled", {"axis": axis, "knot": k, "count": 3}) for k in range(3)]
         yield replace(_nameless(c, None, None, ("reach",), pull), covariate=" × ".join(nearest), covariates=nearest)
@@ -435,11 +436,12 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
             ]  # fmt: skip
             yield _nameless(c, None, None, (name,), swells)
     for angle in ("azimuth", "elevation"):
-        off = tuple(
-            Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})
-            for order in (1, 2) for phase in ("sin", "cos")
-        )  # fmt: skip
-        yield Candidate("nameless", None, None, None, angle, off)
+        for most in (2, 6):
+            off = tuple(
+                Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})
+                for order in range(1, most + 1) for phase in ("sin", "cos")
+            )  # fmt: skip
+            yield Candidate("nameless", None, None, None, angle, off)
     warm = temperature_places(c)
     for places in (*zip(warm, strict=True), *itertools.combinations(warm, 2)):
         names = tuple(f"temp_{place}_C" for place in places)

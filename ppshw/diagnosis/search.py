@@ -56,7 +56,7 @@ RIDDLE = 0.5
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
 # tilting joints, whose travel is short.
 SOFT, MAY_BE_PLAY = 8.0, 0.7
-PRIOR_SD = 3.0  # of a coefficient once taken up, in units of the repeatability; of more than FEW the less
+PRIOR_SD = 3.0  # of a coefficient once taken up, in `Workspace.unit`s; of more than FEW the less
 FEW = 6  # columns
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
@@ -150,9 +150,9 @@ def _effects(found: Sequence[Found]) -> int:
 def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """A name stands while no rival without one says as much in its place as the name does by its bare form, or nearly
     as much as with all its near forms: what any smooth function fits as well is something else. Of one effect that acts
-    in several directions the loudest (when it was found) is asked; where it stands the others do. What bears the name
-    of one that was given up, for the same cause and saying no more, goes with it, and so does what the others then
-    explain."""
+    in several directions the loudest (when it was found) is asked, for all; where it stands the others do. What bears
+    the name of one that was given up, for the same cause and saying no more, goes with it, and so does what the others
+    then explain."""
     given_up: dict[tuple[str, str], float] = {}
     freely = tried.names.index(("nameless", None))
     stand: set[Name] = set()
@@ -162,10 +162,12 @@ def _give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             cause = f.name[0], tried.candidates[f.best].covariate
             if f.name[0] == "nameless" or f.name in stand:
                 continue
-            others = [g for g in found if g is not f]
-            own, every, evidence = _by_itself(space, tried, f, others)
+            pieces = [g for g in found if g.name == f.name and g is not f]
+            others = [g for g in found if g is not f and g not in pieces]
+            own, every, evidence = _by_itself(space, tried, f, others, pieces)
             rival, best = _other_than(tried, f, evidence, freely)
-            least = max((1.0 + NEARLY) * own - AHEAD, min(every - ALL_AHEAD, FAR_BEHIND * own))
+            with_all = every - ALL_AHEAD if pieces else min(every - ALL_AHEAD, FAR_BEHIND * own)
+            least = max((1.0 + NEARLY) * own - AHEAD, with_all)
             behind = rival / HANDICAP > least
             if own <= given_up.get(cause, -math.inf) or behind or _beside_a_riddle(tried, f, others):
                 given_up[cause] = max(own, given_up.get(cause, -math.inf))
@@ -225,10 +227,13 @@ def _never_turned(machine: Machine) -> list[str]:
     return [joint.name for joint in itertools.takewhile(lambda joint: joint.prismatic, machine.joints)]
 
 
-def _by_itself(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> tuple[float, float, Array]:
+def _by_itself(
+    space: Workspace, tried: Tried, f: Found, others: list[Found], pieces: Sequence[Found] = ()
+) -> tuple[float, float, Array]:
     """What a finding says beside the others, by its bare form; with all near forms, less what it took over from other
-    names; the log evidence of all candidates beside the others. The others are then taken up."""
-    take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f], and_look=False)
+    names, and with further pieces of the same effect; the log evidence of all candidates beside the others. The others
+    are then taken up."""
+    take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f, *pieces], and_look=False)
     whole = space.log_evidence()
     take_up(space, tried, others)
     evidence, names = _names(tried)
@@ -477,7 +482,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         candidate = tried.candidates[f.best]
         laid += [tried.value(c) for c in candidate.columns]
         many = min(1.0, FEW / len(candidate.columns))
-        prior += (many * PRIOR_SD * tried.repeatability / tried.scale[tried.index[f.best]]).tolist()
+        prior += (many * PRIOR_SD * tried.unit / tried.scale[tried.index[f.best]]).tolist()
         for column in f.near:
             laid.append(tried.value(column))
             # what wanders does so with half the amplitude at twice the pace, like a random walk

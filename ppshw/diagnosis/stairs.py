@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 MOST_JUMPS = len(ORDINALS)
 MOSTLY = 0.7  # of all moments
 AGAIN = 3  # times that all moments of a set are moved
+APART = 5  # visits between two jumps at least: what is back after one or two was a wrong visit, and no zero
 
 
 def stairs(space: Workspace) -> list[Stairs]:
@@ -72,7 +73,7 @@ def _best_sets(scores: Array, information: Array) -> list[list[int]]:
 
 
 def _next(scores: Array, information: Array, others: list[int]) -> int | None:
-    """The column that explains most beside others; None where nothing is left of any."""
+    """The column that explains most beside others, and not too near to them; None where nothing is left of any."""
     size = np.diag(information)
     cross = information[:, others]
     both = np.column_stack([scores[others], cross.T])
@@ -80,7 +81,8 @@ def _next(scores: Array, information: Array, others: list[int]) -> int | None:
     left = scores - cross @ weights[:, 0]
     own = size - np.einsum("kj,jk->k", cross, weights[:, 1:])
     seen = own > 1e-6 * np.maximum(size, 1e-30)
-    seen[others] = False
+    for other in others:
+        seen[max(0, other - APART + 1) : other + APART] = False
     if not seen.any():
         return None
     return int(np.argmax(np.where(seen, left**2 / np.where(seen, own, 1.0), -1.0)))

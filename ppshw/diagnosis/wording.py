@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import ORDINALS, Candidate
+from ppshw.diagnosis.nameless import most_alike
 from ppshw.diagnosis.search import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import named_column
+from ppshw.terms.shapes import Context, named_column
 
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
@@ -88,9 +89,22 @@ def column_of(covariate: str) -> tuple[str, str]:
         return column, ", ".join(filter(None, (how, f"lagging by {tau} h")))
     if covariate == "former_load":
         return "load", "of the load before"
+    if covariate == "pause":
+        return "time", "since the visit before"
     if covariate == "since_load_change":
         return "time", "since the load was changed"
     return covariate, ""
+
+
+def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
+    """The columns by which something without a name is said, and what of them: those it is a function of; where these
+    are none of the recording's, as with how the instrument sees a reflector, the positions it changes with most."""
+    if candidate.covariates:
+        return [column_of(name) for name in candidate.covariates]
+    if candidate.covariate in c.recording.target_names:
+        return [("time", f"of reflector {candidate.covariate}")]
+    nearest = most_alike(c, named_column(c, candidate.covariate))[:2]
+    return [(name, f"for the {candidate.covariate} from the instrument") for name in nearest]
 
 
 def history_of(said: Sequence[tuple[str, str]]) -> str | None:
@@ -128,6 +142,9 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names = [f"shift_{next(axes)}" if m else "scale_per_K" if g else "scale"
                  for m, g in zip(moves, grows, strict=True)]  # fmt: skip
         units = ["m/K" if m else "1/K" if g else "1" for m, g in zip(moves, grows, strict=True)]
+    elif candidate.effect == "thermal_growth" and len(values) == len(COMPONENTS):
+        names = [f"{component}_per_kelvin" for component in COMPONENTS]
+        units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]
     elif candidate.effect == "thermal_growth":
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
         units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
@@ -178,6 +195,8 @@ def _misread_name(args: Mapping[str, Any]) -> str:
         return f"{name}_{args['bent']}"
     if args.get("time") == "cosine":
         return f"{name}_zero_wave_{args['tau']:g}"
+    if args.get("time") == "step":
+        return f"{name}_zero_step"
     kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
     return name + (kelvin or "_zero" * (source < 0) + "_per_hour" * (args.get("time") == "linear"))
 
@@ -249,7 +268,8 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
-        "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero ({size}).",
+        "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
+        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "") + f" ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero jumped by {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "

@@ -103,6 +103,13 @@ class Workspace:
         return bool((self.calming != np.eye(self.rows)).any())
 
     @property
+    def unit(self) -> float:
+        """What sizes of effects are measured in, rms at the reflectors [m]: the repeatability, and where the instrument
+        scatters more than the machine, its noise (what a reflector that moved leaves is put down to the instrument, to
+        the last of the repeatability where it is much: nothing had a size then, and nothing was found)."""
+        return max(self.base.noise.repeatability, self.base.noise.instrument)
+
+    @property
     def rows(self) -> int:
         return int(self.data.shape[1])
 

@@ -216,7 +216,7 @@ def _plane(reading: Reading, first: str, second: str, c: Context, units: dict[st
 
 
 def _unit(name: str, units: dict[str, str]) -> str:
-    known = {"time": "h", "since_load_change": "h", "settle_s": "s"}
+    known = {"time": "h", "since_load_change": "h", "pause": "h", "settle_s": "s"}
     if name in units or name in known:
         unit = units.get(name, known.get(name, ""))
         return f"[{unit}]" if unit else ""

@@ -446,8 +446,9 @@ def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
     turned back), pace_<joint> (way a joint went since the visit before, per hour), reach (from the base to the last
-    frame), load and former_load (mass of this payload and of the one before, kg), previous_<column> (at the visit
-    before), late_<hours>_<column> (first-order lag)."""
+    frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), pause
+    (since the visit before, h), load and former_load (mass of this payload and of the one before, kg),
+    previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
@@ -463,6 +464,11 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("pace_"):
         gone = np.abs(np.diff(r.q[:, joints.index(name[5:])]))
         return np.concatenate([[0.0], gone / np.maximum(np.diff(c.hours), LEAST_H)])
+    if name in ("azimuth", "elevation"):
+        at = _seen_at(c, name)[0].mean(axis=1)
+        return np.asarray(np.angle(np.exp(1j * at) / np.exp(1j * at).mean()))
+    if name == "distance":
+        return np.asarray(np.linalg.norm(c.points - c.measuring_in_base[:3, 3], axis=2).mean(axis=1))
     if name == "reach":
         return np.asarray(np.linalg.norm(c.chain[:, -1, :3, 3] - c.chain[:, 0, :3, 3], axis=1))
     if name.startswith("way_"):
@@ -474,6 +480,9 @@ def named_column(c: Context, name: str) -> Array:
         return np.asarray(r.temperatures[name[5:-2]])
     if name == "time":
         return np.asarray(c.hours)
+    if name == "pause":
+        pauses = np.diff(c.hours)
+        return np.concatenate([[np.median(pauses) if len(pauses) else 0.0], pauses])
     if name == "since_load_change":
         return hours_since_change(r.load, c.hours)
     if name in ("load", "former_load"):
@@ -719,6 +728,12 @@ def _rays(c: Context, place: str) -> Array:
 def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
     """The instrument's azimuth or elevation off by the sine or cosine of `order` times itself: its encoders' error. Its
     standing axis is taken for plumb."""
+    at, moves = _seen_at(c, angle)
+    return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
+
+
+def _seen_at(c: Context, angle: str) -> tuple[Array, Array]:
+    """The angle at which the instrument sees every target (N, T), and how that moves as it grows (N, T, 3)."""
     rays = c.points - c.measuring_in_base[:3, 3]
     up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
     ahead = c.measuring_in_base[:3, 0] if abs(c.measuring_in_base[:3, 0] @ up) < 0.9 else c.measuring_in_base[:3, 1]
@@ -728,10 +743,8 @@ def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
     level = rays - height[..., None] * up
     away = np.maximum(np.linalg.norm(level, axis=2), 1e-9)
     if angle == "azimuth":
-        at, moves = np.arctan2(rays @ np.cross(up, ahead), rays @ ahead), np.cross(up, level)
-    else:
-        at, moves = np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
-    return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
+        return np.arctan2(rays @ np.cross(up, ahead), rays @ ahead), np.cross(up, level)
+    return np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
 
 
 def refraction(c: Context, place: str, part: int) -> Array:

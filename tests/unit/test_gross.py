@@ -11,6 +11,7 @@ from ppshw.diagnosis import gross
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.gross import (
     GrossErrors,
+    _tails,
     gross_errors,
     left_at_a_place,
     scatter_of,
@@ -43,19 +44,32 @@ def test_a_wrong_visit_is_found_and_none_in_a_clean_recording(clean: Workspace, 
     assert gross_errors(bad).visits == (BAD,)
 
 
-def test_visits_are_not_wrong_where_others_swing_further_than_noise_nor_is_a_lone_one(clean: Workspace) -> None:
-    """Of 180 visits noise would swing one so far in five recordings; where four do, the limit is farther."""
+def _off(clean: Workspace, visits: tuple[int, ...], others: float = 0.0, swings: np.ndarray | float = 1.0) -> Workspace:
+    """Some visits off by a third of OFF, four others by so much [m], all noise times `swings` (N,)."""
+    left = np.nan_to_num(clean.residual()).reshape(clean.recording.points.shape)
+    points = clean.recording.points + left * (np.reshape(swings, (-1, 1, 1)) - 1.0)
+    points[list(visits), :, 0] += OFF / 3
+    points[[40, 70, 110, 150], :, 1] += others
+    return prepare(clean.machine, replace(clean.recording, points=points), clean.fit)
 
-    def wrong(others: float, visits: tuple[int, ...] = (BAD, BAD + 5)) -> tuple[int, ...]:
-        points = clean.recording.points.copy()
-        points[list(visits), :, 0] += OFF / 3
-        points[[40, 70, 110, 150], :, 1] += others
-        recording = replace(clean.recording, points=points)
-        return gross_errors(prepare(clean.machine, recording, clean.fit)).visits
 
-    assert wrong(others=0.0) == (BAD, BAD + 5)
-    assert wrong(others=2e-4) == ()
-    assert wrong(others=0.0, visits=(BAD,)) == ()
+def test_a_lone_visit_is_wrong_only_where_it_is_far_off(clean: Workspace) -> None:
+    assert gross_errors(_off(clean, (BAD, BAD + 5))).visits == (BAD, BAD + 5)
+    assert gross_errors(_off(clean, (BAD,))).visits == ()
+
+
+def test_tails_are_heavy_where_the_many_that_are_near_say_so_and_not_because_a_few_are_wrong(clean: Workspace) -> None:
+    """Noise of a multivariate t with four degrees of freedom swings a few visits as far as two that are wrong, which
+    then are none; four visits a little off beside noise that is normal do not make it heavy."""
+    assert set(gross_errors(_off(clean, (BAD, BAD + 5), others=2e-4)).visits) >= {BAD, BAD + 5}
+    rng = np.random.default_rng(2)
+    heavy = np.sqrt(4.0 / rng.chisquare(4.0, len(clean.recording)))
+    assert gross_errors(_off(clean, (), swings=heavy)).visits == ()
+    distance, freedom = rng.chisquare(9.0, 450), np.full(450, 9)
+    swung = distance * 4.0 / rng.chisquare(4.0, 450)
+    assert _tails(swung, freedom)[0] <= 6.0
+    distance[:20] += 30.0
+    assert _tails(distance, freedom)[1] >= 15.0
 
 
 @pytest.fixture(scope="module")

@@ -70,7 +70,7 @@ def test_columns_are_told_apart_by_all_they_are_made_of() -> None:
 
 
 def test_what_stands_beside_a_candidate_is_accounted_for_in_whatever_units(space: Workspace) -> None:
-    tried = Tried(space, library(space.context)[::40], space.base.noise.repeatability)
+    tried = Tried(space, library(space.context)[::40], space.unit)
     columns = np.stack([c.columns[0].evaluate(space.context) for c in tried.candidates[3::60]], axis=2)
     columns /= np.sqrt((columns**2).sum(axis=(0, 1)))
     rng = np.random.default_rng(3)

@@ -9,7 +9,7 @@ import pytest
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.stairs import stairs
+from ppshw.diagnosis.stairs import APART, _best_sets, stairs
 from ppshw.diagnosis.wording import parameters_of, sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
@@ -56,7 +56,7 @@ def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped
 
     without_drift = frozenset({"drift", "periodic_transmission", "cross_coupling", "target_moved"})
     candidates = library(slipped.context, without_drift, stairs=stairs(slipped))
-    tried = Tried(slipped, candidates, slipped.base.noise.repeatability, without_drift)
+    tried = Tried(slipped, candidates, slipped.unit, without_drift)
     evidence = tried.evidence(tried.scores()[None])[0] + tried.log_share
     best = candidates[int(np.argmax(evidence))]
     assert (best.effect, best.joint, len(best.columns)) == ("zero_shift", joint, 3)
@@ -72,6 +72,17 @@ def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped
     ]  # fmt: skip
 
 
+def test_one_wrong_visit_is_no_jump_there_and_back() -> None:
+    """Steps at every visit of 60, as columns; one visit off, and a zero that jumps after another."""
+    steps = np.tri(60, 60)
+    data = np.zeros(60)
+    data[20] = 10.0
+    data[40:] += 5.0
+    for chosen in _best_sets(steps.T @ data, steps.T @ steps):
+        assert 40 in chosen
+        assert np.diff(sorted(chosen)).min() >= APART
+
+
 def test_a_machine_that_stands_still_has_no_stairs(clean: Workspace) -> None:
     recording = clean.recording
     still = replace(recording, q=np.tile(recording.q[:1], (len(recording), 1)))
@@ -80,7 +91,7 @@ def test_a_machine_that_stands_still_has_no_stairs(clean: Workspace) -> None:
 
 def test_noise_has_no_stairs_that_are_worth_the_sets_they_were_chosen_from(clean: Workspace) -> None:
     candidates = [k for k in library(clean.context, stairs=stairs(clean)) if k.effect == "zero_shift"]
-    tried = Tried(clean, candidates, clean.base.noise.repeatability)
+    tried = Tried(clean, candidates, clean.unit)
     evidence = tried.evidence(tried.scores()[None])[0] + tried.log_share
     many = np.array([len(k.columns) > 1 and "second_time_h" in k.shape for k in candidates])
     assert evidence[many].max() < 0

@@ -88,7 +88,7 @@ def test_a_twin_has_every_cell_of_the_recording_but_the_readings(
     assert answer["readings"] == 3 * VISITS - 1
     # the twin is the calibration and its noise; of its own recording a fit leaves less than that
     assert 0.8 < answer["recording"]["rms_mm"] / answer["twin"]["rms_mm"] < 1.0
-    assert len(answer["checks"]) == 14
+    assert len(answer["checks"]) == 15
 
 
 def test_two_twins_differ_by_the_noise_of_the_calibration(rig: Rig) -> None:
@@ -126,7 +126,7 @@ def test_a_calibration_whose_groups_are_another_programs_is_refused(rig: Rig) ->
 def test_a_recording_that_the_model_describes_is_like_its_twin(rig: Rig) -> None:
     found = compare(rig.calibration, rig.recording)
     assert min(c.p for c in found) > 0.0025
-    assert sentence([c.as_dict() for c in found]) == "like its twin in all 14 checks"
+    assert sentence([c.as_dict() for c in found]) == "like its twin in all 15 checks"
 
 
 def test_ranks_among_replicas_are_ranks(rig: Rig) -> None:
@@ -135,7 +135,7 @@ def test_ranks_among_replicas_are_ranks(rig: Rig) -> None:
     for left in np.concatenate(list(compared.replicas(np.random.default_rng(3), 24))):
         found, _ = check(replace(compared, left=left.astype(float)), seed=len(p), draws=39)
         p += [c.p for c in found]
-    # 24 recordings of what the model itself makes, 14 checks each: one in ten is at 0.1 or below
+    # 24 recordings of what the model itself makes, 15 checks each: one in ten is at 0.1 or below
     assert 0.05 < np.mean(np.array(p) <= 0.1) < 0.16
 
 

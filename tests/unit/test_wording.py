@@ -65,3 +65,14 @@ def test_lines_are_folded_to_eighty_columns_and_go_on_indented() -> None:
     assert len(lines) > 3
     assert all(line.startswith("    ") for line in lines[2:])
     assert " ".join(" ".join(lines[1:]).split()) == long.strip()
+
+
+def test_a_moment_too_small_to_bend_anything_is_no_weight_that_moves(context: Context) -> None:
+    """A couch that rolls and pitches by degrees turns its weight's moment about the plumb line by some mN m: as a
+    function of the two angles that is their product, and a coupling of them would be called a weight."""
+    by_weight = [k for k in library(context) if k.columns[0].function == "own_weight"]
+    assert {k.joint for k in by_weight} >= {"longitudinal", "yaw"}
+    for k in by_weight:
+        moment = k.columns[0].value(context)
+        assert moment.std() > 0.05, k
+    assert ("roll", "ry") not in {(k.joint, k.component) for k in by_weight}

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence
+from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence, stand_ins
 from ppshw.diagnosis.workspace import CAUTION, STANDS_OUT, Workspace, caution_of, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
@@ -511,3 +511,39 @@ def test_a_cable_chain_weighs_as_a_body_where_its_joint_has_it_all_and_as_one_ta
     assert np.abs(body[most]).max() > 0.1 * size
     assert np.allclose(chain[most], body[most], atol=0.05 * size)
     assert np.allclose(chain[least], -body[least], atol=0.05 * size)
+
+
+def test_an_effect_has_a_size_where_all_scatter_was_put_down_to_the_instrument(space: Workspace) -> None:
+    """As where one reflector moved against the others, which no pose does: sizes were measured against a repeatability
+    of nothing then, and nothing was found."""
+    count = len(space.recording)
+    moved = np.zeros_like(space.recording.points)
+    moved[count // 2 :, 1] = space.context.tips[count // 2 :, :3, 0] * 2e-4
+    noise = replace(space.base.noise, pose=np.zeros((6, 6)))
+    loose = replace(space, base=replace(space.base, noise=noise), data=space.data + moved.reshape(count, -1))
+    assert noise.repeatability == 0
+    some = [k for k in library(loose.context) if k.effect == "target_moved"]
+    tried = Tried(loose, some, loose.unit)
+    evidence = tried.evidence(tried.scores()[None])[0]
+    best = some[int(np.argmax(evidence))]
+    assert evidence.max() > 100
+    assert best.covariate == space.recording.target_names[1]
+    assert best.shape["time_h"] == pytest.approx(space.context.hours[count // 2], abs=space.context.hours[-1] / MOMENTS)
+
+
+def test_the_pause_before_a_visit_is_sought_and_said_as_time(space: Workspace) -> None:
+    c = space.context
+    np.testing.assert_allclose(named_column(c, "pause")[1:], np.diff(c.hours))
+    assert [k for k in nameless(c) if k.covariates == ("pause",) and k.frame == "j2"]
+    assert column_of("pause") == ("time", "since the visit before")
+
+
+def test_how_the_instrument_sees_a_reflector_is_said_in_the_recording_s_columns(space: Workspace) -> None:
+    """Of a standing arm the azimuth goes with its first joint."""
+    c = space.context
+    by_angle = next(k for k in nameless(c) if k.covariate == "azimuth")
+    said = stand_ins(c, by_angle)
+    assert said[0] == ("q_j1", "for the azimuth from the instrument")
+    assert len(said) == 2
+    by_reflector = next(k for k in nameless(c) if k.covariate == space.recording.target_names[0])
+    assert stand_ins(c, by_reflector) == [("time", f"of reflector {by_reflector.covariate}")]
