@@ -25,7 +25,7 @@ from ppshw.identification.noise import Noise
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
-from ppshw.terms import FrameTerm
+from ppshw.terms import FrameTerm, earlier
 from ppshw.terms.effect import Effect
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.geometric import Geometric
@@ -34,6 +34,7 @@ from ppshw.terms.target import TargetOffset
 from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 FORMAT = "ppshw calibration 1"
 # Sampled positions that are listed in full; a random campaign has one per visit and says so by its range.
 MOST_POSITIONS = 200
@@ -53,6 +54,7 @@ class Calibration:
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
     strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
     ambiguous           what the recording does not tell apart, as `ambiguity.Ambiguity.as_dict` says it
+    visits              what effects may remember: the recording's visits, without their readings; None without effects
     """
 
     model: Model
@@ -68,10 +70,17 @@ class Calibration:
     reference: dict[str, float] = field(default_factory=dict)
     strengths: dict[str, float] = field(default_factory=dict)
     ambiguous: tuple[dict[str, Any], ...] = ()
+    visits: Recording | None = None
 
     @property
     def machine(self) -> Machine:
         return self.model.machine
+
+    def continued(self, recording: Recording) -> tuple[Recording, Mask]:
+        """A recording with what this calibration knows of the visits before and between its own, and which rows are
+        its own (N,): `earlier.continued`. That which the calibration was made from stands for itself."""
+        own = recording.sha256 == self.provenance.get("recording_sha256")
+        return earlier.continued(None if own else self.visits, recording)
 
     @classmethod
     def of(cls, estimate: Estimate, recording: Recording, method: str, now: datetime | None = None) -> Calibration:
@@ -151,6 +160,7 @@ class Calibration:
             "reference": self.reference,
             "strengths": self.strengths,
             "ambiguous": list(self.ambiguous),
+            "visits": None if self.visits is None else earlier.as_dict(self.visits),
             "covariance": _pack(self.covariance),
         }
 
@@ -241,7 +251,15 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         {str(k): float(v) for k, v in data.get("reference", {}).items()},
         {str(k): float(v) for k, v in data.get("strengths", {}).items()},
         tuple(data.get("ambiguous", [])),
+        _visits(data, machine),
     )
+
+
+def _visits(data: dict[str, Any], machine: Machine) -> Recording | None:
+    if data.get("visits") is None:
+        return None
+    made_from = data["provenance"]
+    return earlier.from_dict(data["visits"], machine, made_from["recording"], made_from["recording_sha256"])
 
 
 def _noise(data: dict[str, Any], machine: Machine) -> Noise:

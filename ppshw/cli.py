@@ -174,6 +174,8 @@ def evaluate(a: argparse.Namespace) -> None:
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", _FIGURE_HEAD]
     lines += [_figure_row(name, values) for name, values in rows]
+    if answer.get("earlier_visits"):
+        lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
     for u in answer.get("unexplained", ()):
         lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
                      f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")

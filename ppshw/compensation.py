@@ -21,6 +21,7 @@ from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Around, Recording
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects, Verdict
+from ppshw.terms.earlier import goes_on
 from ppshw.terms.past import Moment, Past, Signs, approach_of
 from ppshw.transforms import inverse, transform
 
@@ -121,7 +122,8 @@ class Compensator:
 
         Keeps the moves that it was asked for as the past of the next one; a map is good for one run.
 
-        after           what the machine did last, for effects that look back; without, they begin with the first visit
+        after           what the machine did last, for effects that look back; without, the visits that the calibration
+                        was made from if the run begins soon after them (`earlier.goes_on`), else nothing
         final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
         """
         return _Corrections(self, after, final_approach)
@@ -245,6 +247,7 @@ class _Corrections:
     def __init__(self, compensator: Compensator, after: Recording | None, final_approach: Signs | None) -> None:
         self._compensator, self._final = compensator, final_approach
         self._past = Past()
+        self._visits = compensator.calibration.visits if after is None else None
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
 
@@ -253,6 +256,8 @@ class _Corrections:
         known = self._compensator.known
         if known is None:
             return self._compensator.for_joints(wanted, payload).corrected
+        if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
+            self._past = known.past_of(self._visits)
         last = self._past.moments[-1] if self._past.moments else None
         if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)

@@ -30,10 +30,11 @@ def residuals(recording: Recording, calibration: Calibration, refit_base: bool =
     """
     predicted = calibration.model.predict(Situation.of(recording), calibration.theta)
     if calibration.effects:
+        whole, rows = calibration.continued(recording)
         predicted = predicted + displacement(
-            calibration.effects, calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+            calibration.effects, calibration.model, calibration.theta, whole, calibration.measuring_in_base,
             calibration.reference,
-        )  # fmt: skip
+        )[rows]  # fmt: skip
     frame = _fitted_frame(recording, predicted) if refit_base else calibration.measuring_in_base
     return np.asarray(to_base(recording.points, frame) - predicted)
 
@@ -79,12 +80,17 @@ def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it; where the calibration carries
-    structure without a name, how many visits lie where nothing is known of it."""
+    effects, how many visits of its own recording this one goes on from; where structure without a name, how many visits
+    lie where nothing is known of it."""
     nominal = figures(nominal_residuals(recording, machine, refit_base))
     mine = nominal if calibration is None else figures(residuals(recording, calibration, refit_base))
     answer = {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
-    if calibration is not None and any(e.name == UNNAMED for e in calibration.effects):
-        context = Context.of(calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+    if calibration is None or not calibration.effects:
+        return answer
+    whole, rows = calibration.continued(recording)
+    answer["earlier_visits"] = len(whole) - len(recording)
+    if any(e.name == UNNAMED for e in calibration.effects):
+        context = Context.of(calibration.model, calibration.theta, whole, calibration.measuring_in_base,
                              dict(calibration.reference))  # fmt: skip
-        answer["unexplained"] = [u.as_dict() for u in unexplained_at(calibration.effects, context)]
+        answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer

@@ -49,9 +49,10 @@ def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> T
     """
     rng = np.random.default_rng(seed)
     names = list(recording.extra_points)
-    context = _context(calibration, recording, [calibration.machine.points[n] for n in names])
+    others = [calibration.machine.points[n] for n in names]
+    context = _context(calibration, recording, others)
     count, size = len(recording), context.points.shape[1]
-    ideal = context.points + _effects(calibration, context).reshape(count, size, 3)
+    ideal = context.points + _effects(calibration, recording, others).reshape(count, size, 3)
     everything = np.ones((count, size), dtype=bool)
     covariance = calibration.noise.covariance(_levers(context), everything, np.ones(count))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((count, 3 * size, 1)))[..., 0]
@@ -98,7 +99,7 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     covariance = calibration.noise.covariance(_levers(context), seen, np.ones(count))
     root = np.linalg.inv(np.linalg.cholesky(covariance)) * (rows[:, :, None] & rows[:, None, :])
-    ideal = context.points.reshape(count, -1) + _effects(calibration, context)
+    ideal = context.points.reshape(count, -1) + _effects(calibration, recording)
     read = to_base(recording.points, calibration.measuring_in_base).reshape(count, -1)
     left = (root @ np.where(rows, read - ideal, 0.0)[..., None])[..., 0]
     design, active = _design(calibration, recording, root)
@@ -192,13 +193,15 @@ def _context(calibration: Calibration, recording: Recording, others: Sequence[Ar
     return replace(c, points=points, jacobian=jacobian)
 
 
-def _effects(calibration: Calibration, context: Context) -> Array:
+def _effects(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Array:
     """(N, 3K) what the effects add, base axes [m]. A reflector that moved moves itself alone."""
+    whole, rows = calibration.continued(recording)
+    context = _context(calibration, whole, others)
     out = np.zeros((len(context.points), context.points.shape[1] * 3))
     for effect in calibration.effects:
         for column, value in zip(effect.columns, effect.values, strict=True):
             out += value * column.evaluate(context)
-    return out
+    return out[rows]
 
 
 def _levers(context: Context) -> Array:

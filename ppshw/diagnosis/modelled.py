@@ -50,7 +50,8 @@ def extended(space: Workspace, found: list[Pair]) -> Calibration:
         effects = _joined(effects, _instead(whole, alone, [p for p in found if p[0].carried], corrections))
     recording = space.recording.subset(space.fit)
     calibration = Calibration.of(replace(space.base, theta=_theta(alone)), recording, "joint")
-    return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference))
+    visits = space.recording if effects else None
+    return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference), visits=visits)
 
 
 def _is_correction(candidate: Candidate) -> bool:

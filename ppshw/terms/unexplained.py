@@ -24,6 +24,9 @@ class Unexplained:
     weight: Array
     std: Array
 
+    def subset(self, rows: NDArray[np.bool_]) -> Unexplained:
+        return Unexplained(self.names, self.weight[rows], self.std[rows])
+
     def as_dict(self) -> dict[str, object]:
         """For `evaluate`: visits where there were no data, and so no correction; millimetres."""
         return {

@@ -1,0 +1,144 @@
+"""The visits that a calibration was made from, as what a later recording goes on from.
+
+Creep, friction and lagging temperatures remember. A recording that begins where the calibration's own ended is
+predicted as if both were one; one that begins long after begins anew, since nobody knows what went between.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.recording import Recording
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+# A pause after which nothing is known of what went before, unless the earlier visits had longer ones [s]; a choice.
+PAUSE_S = 3600.0
+SAME_S = 1e-3  # visits at the same moment are the same visit
+SAME_LOAD_N = 5.0  # and a tenth of it: forces under one label that differ by more are of two loads
+
+
+def goes_on(earlier: Recording, first: float) -> bool:
+    """Whether a visit at the time `first` [s] comes so soon after the earlier ones that it goes on from them."""
+    before = earlier.time[earlier.time < first - SAME_S]
+    if not len(before):
+        return False
+    longest = float(np.diff(earlier.time).max()) if len(earlier) > 1 else 0.0
+    return first - float(before.max()) <= max(PAUSE_S, longest)
+
+
+def continued(earlier: Recording | None, recording: Recording) -> tuple[Recording, Mask]:
+    """A recording with the earlier visits among its own, by time (those after it say what its loads weigh), and which
+    rows are its own.
+
+    It stands alone where a time is unknown, where its visits are not in order, or where it begins long after.
+    """
+    own = np.ones(len(recording), dtype=bool)
+    if earlier is None or not len(recording) or not len(earlier):
+        return recording, own
+    time = recording.time
+    if not (np.isfinite(time).all() and np.isfinite(earlier.time).all()) or (np.diff(time) < 0).any():
+        return recording, own
+    nearest = np.searchsorted(time, earlier.time)
+    apart = np.minimum(
+        np.abs(earlier.time - time[np.minimum(nearest, len(time) - 1)]),
+        np.abs(earlier.time - time[np.maximum(nearest - 1, 0)]),
+    )
+    useful = apart > SAME_S
+    if not goes_on(earlier, float(time[0])):
+        useful &= earlier.time > time[0]
+    if not (useful & (earlier.time < time[-1])).any():
+        return recording, own
+    earlier = earlier.subset(useful)
+    order = np.argsort(np.concatenate([earlier.time, time]), kind="stable")
+    rows = np.concatenate([np.zeros(len(earlier), dtype=bool), own])
+    return _joined(_told_apart(earlier, recording), recording).subset(order), rows[order]
+
+
+def _told_apart(earlier: Recording, recording: Recording) -> Recording:
+    """The earlier visits with a load's label changed where the later ones have another load under it."""
+    others = set()
+    for label in set(earlier.load) & set(recording.load):
+        forces = [
+            float(np.linalg.norm(r.wrench[np.array(r.load) == label, :3], axis=1).mean()) for r in (earlier, recording)
+        ]
+        if abs(forces[0] - forces[1]) > SAME_LOAD_N + 0.1 * max(forces):
+            others.add(label)
+    return replace(earlier, load=tuple(f"earlier {label}" if label in others else label for label in earlier.load))
+
+
+def _joined(first: Recording, then: Recording) -> Recording:
+    """One after the other; what only one of them has is nan in the other."""
+
+    def both(a: dict[str, Array], b: dict[str, Array]) -> dict[str, Array]:
+        nan = [np.full(len(first), math.nan), np.full(len(then), math.nan)]
+        return {k: np.concatenate([a.get(k, nan[0]), b.get(k, nan[1])]) for k in {**b, **a}}
+
+    unseen = {k: np.full((len(first), 3), math.nan) for k in then.extra_points}
+    return replace(
+        then,
+        time=np.concatenate([first.time, then.time]),
+        step=first.step + then.step,
+        load=first.load + then.load,
+        q=np.concatenate([first.q, then.q]),
+        q_cmd=np.concatenate([first.q_cmd, then.q_cmd]),
+        approach=np.concatenate([first.approach, then.approach]),
+        settle_s=np.concatenate([first.settle_s, then.settle_s]),
+        wrench=np.concatenate([first.wrench, then.wrench]),
+        points=np.concatenate([np.full((len(first), *then.points.shape[1:]), math.nan), then.points]),
+        extra_points={k: np.concatenate([unseen[k], v]) for k, v in then.extra_points.items()},
+        temperatures=both(first.temperatures, then.temperatures),
+        covariates=both(first.covariates, then.covariates),
+    )
+
+
+# --- in a calibration's file --------------------------------------------------------------------------------------
+def as_dict(earlier: Recording) -> dict[str, Any]:
+    """Everything but the readings, packed."""
+    columns = {"time": earlier.time, "settle_s": earlier.settle_s}
+    for k, joint in enumerate(earlier.joint_names):
+        columns |= {f"q_{joint}": earlier.q[:, k], f"q_cmd_{joint}": earlier.q_cmd[:, k],
+                    f"approach_{joint}": earlier.approach[:, k].astype(float)}  # fmt: skip
+    columns |= {name: earlier.wrench[:, k] for k, name in enumerate(WRENCH_COMPONENTS)}
+    columns |= {f"temp_{place}_C": values for place, values in earlier.temperatures.items()}
+    columns |= {f"cov_{name}": values for name, values in earlier.covariates.items()}
+    table = np.array(list(columns.values()), dtype="<f8")
+    return {
+        "count": len(earlier), "load": list(earlier.load), "columns": list(columns),
+        "has_approach": earlier.has_approach, "has_wrench": earlier.has_wrench,
+        "encoding": "column after column, float64 little-endian, zlib, base64",
+        "data": base64.b64encode(zlib.compress(table.tobytes())).decode(),
+    }  # fmt: skip
+
+
+def from_dict(data: dict[str, Any], machine: Machine, source: str, sha256: str) -> Recording:
+    """What `as_dict` wrote. Raises KeyError, TypeError, ValueError or zlib.error where it is damaged."""
+    count, names = int(data["count"]), [str(name) for name in data["columns"]]
+    values = np.frombuffer(zlib.decompress(base64.b64decode(data["data"])), dtype="<f8").reshape(len(names), count)
+    columns = dict(zip(names, values.astype(float), strict=True))
+    if len(data["load"]) != count:
+        raise ValueError(f"visits: {len(data['load'])} loads for {count} visits")
+    joints = machine.joint_names
+    q, q_cmd, approach = (
+        np.stack([columns[f"{prefix}_{j}"] for j in joints], axis=1) for prefix in ("q", "q_cmd", "approach")
+    )
+    wrench = np.stack([columns[c] for c in WRENCH_COMPONENTS], axis=1)
+    for name, found in {"q": q, "q_cmd": q_cmd, "approach": approach, "wrench": wrench}.items():
+        if not np.isfinite(found).all():
+            raise ValueError(f"visits: {name} holds values that are no numbers")
+    return Recording(
+        joints, tuple(machine.targets), columns["time"], ("",) * count, tuple(map(str, data["load"])), q, q_cmd,
+        approach.astype(np.int64), columns["settle_s"], wrench,
+        np.full((count, len(machine.targets), 3), math.nan), {},
+        {n[5:-2]: v for n, v in columns.items() if n.startswith("temp_")},
+        {n[4:]: v for n, v in columns.items() if n.startswith("cov_")},
+        bool(data["has_approach"]), bool(data["has_wrench"]), source, sha256,
+    )  # fmt: skip

@@ -1,0 +1,198 @@
+"""A later recording goes on from the visits that a calibration was made from, and begins anew where nobody knows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ppshw.calibration import Calibration, content_digest, load_calibration
+from ppshw.cli import main
+from ppshw.compensation import Compensator
+from ppshw.errors import CalibrationError
+from ppshw.evaluation import residuals
+from ppshw.identification import identify
+from ppshw.machine import load_machine
+from ppshw.recording import Around, Recording, load_recording, read_table
+from ppshw.terms import earlier
+from ppshw.terms.effect import Effect
+from ppshw.terms.shapes import Column
+from ppshw.twin import simulate
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Plant
+
+Array = NDArray[np.float64]
+PPS = Path(__file__).parents[2] / "machines/pps.yaml"
+FRAME, RX = 2, 3
+VISITS, FIRST = 120, 80
+HOUR, DAY = 3600.0, 86400.0
+
+
+@cache
+def whole() -> Recording:
+    """A recording whose loads change every five visits, whose rails warm up and which counts its visits."""
+    plant, machine = Plant.from_file(PPS, seed=12, repeatability=0.0), load_machine(PPS)
+    with TemporaryDirectory() as folder:
+        csv = simulate_recording_csv(
+            plant, Path(folder) / "r.csv", VISITS, np.random.default_rng(2), "mixed", visits_per_load=5,
+            measurement_noise=False,
+        )  # fmt: skip
+        recording = load_recording(csv, machine)
+    return replace(
+        recording, temperatures={"rail": np.linspace(20.0, 26.0, VISITS)}, covariates={"n": np.arange(VISITS * 1.0)},
+        time=1.7e9 + 90.0 * np.arange(VISITS),
+    )  # fmt: skip
+
+
+@cache
+def base() -> Calibration:
+    return Calibration.of(identify(load_machine(PPS), whole()), whole(), "joint")
+
+
+def remembering(visits: Recording | None) -> Calibration:
+    """Creep of an hour, growth an hour behind the rails, and friction: each remembers another way."""
+    columns = (
+        Column("frame", "creeping", {"frame": FRAME, "component": RX, "tau": 1.0, "form": "exponential"}, FRAME, RX),
+        Column("frame", "temperature", {"place": "rail", "tau": 1.0}, FRAME, 1),
+        Column("frame", "slipping", {"joint": FRAME - 1, "width": 0.3}, FRAME, 1),
+    )
+    effect = Effect("creep", "vertical", columns, (3e-7, 1e-4, 1e-4), (1e-9, 1e-7, 1e-7), "by hand")
+    reference = {"start": float(whole().time[0]), "hours": 3.0, "mean.rail": 23.0}
+    provenance = {**base().provenance, "recording_sha256": "of what it was made from"}
+    return replace(base(), effects=(effect,), reference=reference, visits=visits, provenance=provenance)
+
+
+def later() -> Recording:
+    return whole().subset(np.arange(VISITS) >= FIRST)
+
+
+def rms(a: Array) -> float:
+    return float(np.sqrt(np.nanmean(a**2)))
+
+
+def test_what_follows_at_once_is_predicted_as_if_both_were_one() -> None:
+    together = residuals(whole(), remembering(None))[FIRST:]
+    alone = residuals(later(), remembering(None))
+    np.testing.assert_allclose(
+        residuals(later(), remembering(whole().subset(np.arange(VISITS) < FIRST))), together, atol=1e-12
+    )
+    assert rms(alone - together) > 2e-5
+
+
+def test_blocks_out_of_the_middle_know_what_was_before_and_between() -> None:
+    out = np.isin(np.arange(VISITS) // 10, (3, 7))
+    found = residuals(whole().subset(out), remembering(whole().subset(~out)))
+    np.testing.assert_allclose(found, residuals(whole(), remembering(None))[out], atol=1e-12)
+
+
+@pytest.mark.parametrize("change", ["long after", "no times", "out of order", "its own", "before all"])
+def test_it_begins_anew(change: str) -> None:
+    recording, calibration = later(), remembering(whole().subset(np.arange(VISITS) < FIRST))
+    if change == "long after":
+        recording = replace(recording, time=recording.time + 2 * HOUR)
+    elif change == "no times":
+        recording = replace(recording, time=np.full(len(recording), np.nan))
+    elif change == "out of order":
+        recording = recording.subset(np.arange(len(recording))[::-1])
+    elif change == "its own":
+        calibration = remembering(later())  # an exported copy, say
+    else:
+        calibration = remembering(replace(later(), time=later().time + HOUR))
+    np.testing.assert_array_equal(residuals(recording, calibration), residuals(recording, remembering(None)))
+
+
+def test_a_pause_as_long_as_the_recording_had_itself_is_no_end() -> None:
+    first, recording = whole().subset(np.arange(VISITS) < FIRST), replace(later(), time=later().time + 2 * HOUR)
+    slept = replace(first, time=first.time - 3 * HOUR * (np.arange(FIRST) < 20))
+    assert not earlier.goes_on(first, float(recording.time[0]))
+    assert earlier.goes_on(slept, float(recording.time[0]))
+    assert earlier.continued(slept, recording)[1].sum() == VISITS - FIRST
+    assert not earlier.goes_on(first, float(first.time[0]) - HOUR)
+
+
+def test_another_load_under_a_label_stays_another() -> None:
+    first = whole().subset(np.arange(VISITS) < FIRST)
+    recording = replace(later(), load=(first.load[-1],) * (VISITS - FIRST))
+    heavy = replace(recording, wrench=recording.wrench * 0 + np.array([0, 0, -3000.0, 0, 0, 0]))
+    joined, rows = earlier.continued(first, heavy)
+    assert f"earlier {first.load[-1]}" in joined.load
+    assert joined.load[-1] == first.load[-1]
+    assert rows.sum() == len(heavy)
+    same = replace(first, load=("box",) * FIRST, wrench=first.wrench * 0 + 100.0)
+    on = replace(recording, load=("box",) * len(recording), wrench=recording.wrench * 0 + 101.0)
+    assert set(earlier.continued(same, on)[0].load) == {"box"}
+
+
+def test_a_column_that_one_of_them_lacks_is_unknown_there() -> None:
+    first = replace(whole().subset(np.arange(VISITS) < FIRST), covariates={})
+    joined, rows = earlier.continued(first, later())
+    np.testing.assert_array_equal(joined.covariates["n"][rows], later().covariates["n"])
+    assert np.isnan(joined.covariates["n"][~rows]).all()
+
+
+def test_a_calibration_keeps_its_visits_through_its_file(tmp_path: Path) -> None:
+    calibration = remembering(whole().subset(np.arange(VISITS) < FIRST))
+    calibration.save(tmp_path / "cal.json")
+    again = load_calibration(tmp_path / "cal.json", load_machine(PPS))
+    np.testing.assert_array_equal(residuals(later(), again), residuals(later(), calibration))
+    assert again.visits is not None
+    assert calibration.visits is not None
+    assert again.visits.load == calibration.visits.load
+    assert again.visits.has_wrench
+    assert not again.visits.seen.any()  # readings are not kept
+    data = json.loads((tmp_path / "cal.json").read_text())
+    for spoil, said in (
+        ({"count": 7}, "cannot reshape"), ({"load": ["box"]}, "1 loads for 80 visits"), ({"data": "AAAA"}, "damaged"),
+    ):  # fmt: skip
+        spoilt = {**data, "visits": {**data["visits"], **spoil}}
+        spoilt["content_sha256"] = content_digest(spoilt)
+        (tmp_path / "bad.json").write_text(json.dumps(spoilt))
+        with pytest.raises(CalibrationError, match=said):
+            load_calibration(tmp_path / "bad.json", load_machine(PPS))
+
+
+def test_the_command_says_that_a_recording_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = Plant.from_file(PPS, seed=12, repeatability=0.0)
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 40, np.random.default_rng(3), "mixed", visits_per_load=5)
+    table = read_table(csv)
+    start = load_recording(csv, load_machine(PPS)).time[0]
+    first = whole().subset(np.arange(VISITS) < FIRST)
+    remembering(replace(first, time=first.time - first.time[-1] + start - 60.0)).save(tmp_path / "soon.json")
+    remembering(replace(first, time=first.time - first.time[-1] + start - DAY)).save(tmp_path / "long_ago.json")
+    assert len(table.rows) == 40
+    common = ["evaluate", str(csv), "--machine", str(PPS), "--calibration"]
+    assert main([*common, str(tmp_path / "soon.json")]) == 0
+    assert "goes on from 80 visits" in capsys.readouterr().out
+    assert main([*common, str(tmp_path / "long_ago.json"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["earlier_visits"] == 0
+
+
+def test_a_twin_goes_on_as_well() -> None:
+    together = simulate(remembering(None), whole(), seed=4).points[FIRST:]
+    visits = whole().subset(np.arange(VISITS) < FIRST)
+    mine = [simulate(remembering(v), later(), seed=4).points for v in (visits, None)]
+    # other draws of the noise, so what they have in common is compared: their difference is the memory's
+    plain = [simulate(replace(remembering(None), effects=()), r, seed=4).points for r in (whole(), later())]
+    np.testing.assert_allclose(mine[0] - plain[1], together - plain[0][FIRST:], atol=1e-9)
+    assert rms(mine[1] - mine[0]) > 2e-5
+
+
+def test_setpoints_soon_after_know_what_the_machine_did() -> None:
+    visits = whole().subset(np.arange(VISITS) < FIRST)
+    end, q, payload = float(visits.time[-1]), visits.q[-1], visits.wrench[-1]
+    wanted = q + np.array([0, 0.05, 0, 0, 0, 0])
+
+    def corrected(kept: Recording | None, after: Recording | None, pause: float) -> Array:
+        move = Compensator(remembering(kept)).setpoint_map(after=after)
+        return move(wanted, payload, q, Around(end + pause, visits.load[-1], {"rail": 24.0}))
+
+    told, known, nothing = corrected(None, visits, 60.0), corrected(visits, None, 60.0), corrected(None, None, 60.0)
+    np.testing.assert_array_equal(known, told)
+    assert np.abs(known - nothing).max() > 2e-6
+    np.testing.assert_array_equal(corrected(visits, None, DAY), corrected(None, None, DAY))
