@@ -86,7 +86,7 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
     wrong = set(judge(told, answer)["wrong"])
     if len(told) == 1 and predictable and wrong:
         given = {(f["effect"], f["joint"]) for f in answer["findings"] if f["effect"] in wrong}
-        told[0]["sqrt_lambda_left"] = least_left(machine, recording, base, fields[0], truth, given)
+        told[0]["sqrt_lambda_left"] = least_left(machine, recording, base, fields[0][: len(recording)], truth, given)
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)

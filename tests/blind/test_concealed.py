@@ -16,7 +16,7 @@ import pytest
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
-from ppshw.prove_score import SealBroken, bound, judge, least_left, open_seal, score_of
+from ppshw.prove_score import SealBroken, bound, judge, least_left, open_seal, score_case, score_of
 from ppshw.prove_table import half_power, share, summarise
 from ppshw.recording import load_recording
 from ppshw.terms.shapes import Column, Context
@@ -477,6 +477,20 @@ def test_a_name_with_the_wrong_joint_is_no_right_joint_and_a_wrong_name_is_wrong
     assert (three["wrong"], three["wrong_apart"], three["in_aliases"]) == (["creep"], [], [True])
     none = judge([], {"verdict": "unexplained", "findings": [], "unexplained": {"covariates": ["time"]}})
     assert none["false_alarm"]
+
+
+def test_a_wrong_name_is_scored_with_what_it_leaves(tmp_path: Path) -> None:
+    """Its field goes on over the later visits; what the name leaves of it is of those that were fitted."""
+    case = make(tmp_path, "zero_shift", 7, 1.0, visits=120)
+    joint = open_seal(case, tmp_path / "sealed")["effects"][0]["joint"]
+    said = {"effect": "thermal_growth", "joint": joint, "component": "ty", "covariate": "temp_air_C", "weight": 0.9,
+            "alternatives": [], "aliases": []}  # fmt: skip
+    answer = {"visits": 90, "verdict": "missing_physics", "findings": [said], "unexplained": None}
+    found = score_case(case, tmp_path / "sealed", answer, None, 1.0)
+    assert found["wrong"] == ["thermal_growth"]
+    (truth,) = found["truth"]
+    assert 0.0 < truth["sqrt_lambda_left"] < truth["sqrt_lambda"]
+    assert found["held_out"]["rms_after_mm"] == found["held_out"]["rms_before_mm"]
 
 
 def test_the_bound_grows_with_the_effect_and_sees_nothing_of_what_the_base_model_can_be(tmp_path: Path) -> None:
