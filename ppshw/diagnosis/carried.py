@@ -1,7 +1,8 @@
 """What of the findings a calibration carries, and how much better visits are predicted that no fit saw.
 
 Named findings always. Structure without a name as a Gaussian process, where that makes the held-out visits better and
-where it is no matter of time, which does not come again; so too what a named finding's form leaves over a column.
+where it is no matter of time, which does not come again; so too what a named finding's form leaves over a column. What
+goes on with time alone is carried as it was, held at its end, where that makes the held-out visits better.
 """
 
 from __future__ import annotations
@@ -60,6 +61,11 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
         kept[f.columns(tried.candidates[f.best])] = f.carried
     before, after = held_out(space, taken[:, :, kept & False], prior[kept & False]), np.inf
     after = held_out(space, taken[:, :, kept], prior[kept]) if kept.any() else before
+    for f in found:  # with time alone
+        mine = kept.copy()
+        mine[f.columns(tried.candidates[f.best])] = tried.candidates[f.best].covariates == ("time",)
+        if (mine != kept).any() and (better := held_out(space, taken[:, :, mine], prior[mine])) < NAMELESS_GAIN * after:
+            f.carried, kept, after = True, mine, better
     beside = np.ones(taken.shape[2], dtype=bool)  # columns that stay in the fit
     corrections: list[tuple[_Left, Correction]] = []
     more = np.zeros((*taken.shape[:2], 0))
@@ -77,9 +83,10 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
             after, beside, kept, more = better, others, mine, now
             corrections.append((left, correction))
     space.take_up(*_with(taken[:, :, beside], prior[beside], more))
-    return Carried(before, after, _placed(tried, found, beside, corrections), [
-        _words(space, left, correction) for left, correction in corrections
-    ])  # fmt: skip
+    as_it_was = [f for f in found if f.carried and tried.candidates[f.best].effect == "nameless"]
+    words = [_held_words(space, tried.candidates[f.best], f) for f in as_it_was]
+    words += [_words(space, left, correction) for left, correction in corrections]
+    return Carried(before, after, _placed(tried, found, beside, corrections), words)
 
 
 def _with(columns: Array, prior: Array, more: Array) -> tuple[Array, Array]:
@@ -174,6 +181,23 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
         "log_evidence": correction.evidence,
         "sentence": f"what depends on {listed(said)} is carried without a name, as "
         f"{in_words(correction.columns(), space.machine)}.",
+    }  # fmt: skip
+
+
+def _held_words(space: Workspace, candidate: Candidate, f: Found) -> dict[str, Any]:
+    """What goes on with time alone, in the answer's words."""
+    hours = space.context.hours
+    return {
+        "effect": "unexplained",
+        "covariates": ["time"],
+        "history": None,
+        "frame": candidate.frame,
+        "components": sorted({COMPONENTS[c.component] for c in candidate.columns if c.on == "frame"}),
+        "length": {},
+        "std": [],
+        "region": {"time": [float(hours[0]), float(hours[-1])]},
+        "log_evidence": f.evidence,
+        "sentence": "what depends on time is carried without a name, as it was, and held where it was at the end.",
     }  # fmt: skip
 
 

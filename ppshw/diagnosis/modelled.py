@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -49,7 +50,8 @@ def extended(space: Workspace, found: list[Pair]) -> Calibration:
     if corrections:
         effects = _joined(effects, _instead(whole, alone, [p for p in found if p[0].carried], corrections))
     recording = space.recording.subset(space.fit)
-    calibration = Calibration.of(replace(space.base, theta=_theta(alone)), recording, "joint")
+    theta = _theta(alone, [p for p in found if not p[0].carried and not _left_out(space, p)])
+    calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")
     visits = space.recording if effects else None
     return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference), visits=visits)
 
@@ -60,7 +62,7 @@ def _is_correction(candidate: Candidate) -> bool:
 
 def _left_out(space: Workspace, pair: Pair) -> bool:
     """What a calibration does not have must not be fitted, or its share would be missing from predictions. What goes
-    with time stays in the fit: it is no part of the machine as it will be found."""
+    with time stays in the fit, so that no named effect takes it; the base model has its share of it (`_theta`)."""
     f, candidate = pair
     return not f.carried and not a_matter_of_time(space.context, candidate.covariates)
 
@@ -74,9 +76,14 @@ def _fitted_without(space: Workspace, left_out: list[Pair]) -> Workspace:
     return space
 
 
-def _theta(space: Workspace) -> Array:
-    theta = np.zeros(len(space.active))
-    theta[space.active] = space.coefficients()[0]
+def _theta(space: Workspace, gone: Sequence[Pair] = ()) -> Array:
+    """(p,) of the base model; of what is in the fit and will not come again it has what it can be like: what went on
+    with time was somewhere on average, and so will the machine be."""
+    theta, (base, values) = np.zeros(len(space.active)), space.coefficients()
+    for f, candidate in gone:
+        mine = f.columns(candidate)
+        base = base + space.mimicked(space.taken[:, :, mine] @ values[mine])
+    theta[space.active] = base
     return theta
 
 

@@ -171,6 +171,10 @@ class Workspace:
         base = cho_solve(self.factor, self.white.T @ (self.y - self.taken_white @ extra))
         return np.asarray(base), np.asarray(extra)
 
+    def mimicked(self, moved: Array) -> Array:
+        """θ of the base model (p,) by which it would take what it can of a displacement (N, 3T) of the fit visits."""
+        return np.asarray(cho_solve(self.factor, self.white.T @ self.whiten(moved[..., None])[:, 0]))
+
     def moved(self) -> Array:
         """(N, 3T) what was taken up does to every visit [m], base axes."""
         return np.asarray(self.taken @ self.coefficients()[1])

@@ -191,8 +191,9 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
         left = diagnosis.answer["unexplained"]
         rows = [] if left is None else [("depends on", " and ".join(left["covariates"]))]
         for c in diagnosis.answer.get("corrections", []):
-            over = " and ".join(c["length"])
-            rows.append(("carried as", f"a Gaussian process of {over}: {c['frame']} {', '.join(c['components'])}"))
+            how = f"a Gaussian process of {' and '.join(c['length'])}" if c["length"] else "it was, held at its end"
+            where = " ".join(filter(None, (c["frame"], ", ".join(c["components"]))))
+            rows.append(("carried as", f"{how}: {where}"))
         return rows or [("carried", "not by a calibration")]
     rows = [("p, family-wise", how_rare(said["p_value"])), ("weight of the name", f"{said['weight']:.3f}")]
     rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]

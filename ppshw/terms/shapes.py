@@ -409,7 +409,7 @@ def product(c: Context, joints: Sequence[int]) -> Array:
 
 def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
     """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
-    was made from, nothing beyond what was seen there; count 1: the column."""
+    was made from, nothing beyond what was seen there (but of time); count 1: the column."""
     if count == 1:
         return c.once(("standard", name), lambda: _standard(c, name)[1])
     seen, rank = c.once(("ranks", name), lambda: _ranks(c, name))
@@ -426,7 +426,8 @@ def _standard(c: Context, name: str) -> tuple[Array, Array]:
 
 
 def _ranks(c: Context, name: str) -> Array:
-    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there; nothing of one that does not vary."""
+    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there; nothing of one that does not vary.
+    What went on with time is held where it was when nobody looked any more."""
     values, _ = _standard(c, name)
     if not c.frozen(f"spread of {name}", 0.0):
         return np.zeros((2, len(values)))
@@ -434,7 +435,7 @@ def _ranks(c: Context, name: str) -> Array:
     quantiles = [
         c.frozen(f"quantile {k} of {name}", q) for k, q in enumerate(np.quantile(values, places).tolist())
     ]
-    seen = (values >= quantiles[0]) & (values <= quantiles[-1])
+    seen = (values >= quantiles[0]) & (values <= quantiles[-1]) | (name == "time")
     return np.stack([seen, np.interp(values, quantiles, places)])
 
 

@@ -17,7 +17,7 @@ from ppshw.diagnosis.carried import Carried, a_matter_of_time, carry
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import search
+from ppshw.diagnosis.search import Found, search
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.evaluation import evaluate, residuals
 from ppshw.identification.joint import estimate
@@ -226,7 +226,57 @@ def test_a_twin_has_it_and_the_recording_is_like_its_twin(rig: Rig) -> None:
     assert "other" not in odd
 
 
-def test_what_goes_with_time_is_never_carried(rig: Rig) -> None:
+WANDERED = 3e-4  # [m]
+
+
+def wandering(rig: Rig) -> tuple[Workspace, list[Found], Recording]:
+    """The base rises and stays up; structure over time alone, as it was taken up; later visits, with the base up."""
+    c = rig.space.context
+    up = WANDERED * (c.hours / c.hours[-1] > 0.4)
+    space = replace(rig.space, data=rig.space.data + c.jacobian[:, :, 0, 1] * up[:, None])
+    names = [(c.covariates, c.frame, c.component) for c in rig.tried.candidates]
+    best = names.index((("time",), "base", "ty"))
+    found = [_as_found(rig.tried, best, space)]
+    moved = context(rig, rig.later).jacobian[:, :, 0, 1].reshape(rig.later.points.shape) * WANDERED
+    later = replace(rig.later, points=rig.later.points + moved @ rig.base.measuring_in_base[:3, :3])
+    return space, found, later
+
+
+def test_what_goes_on_with_time_alone_is_carried_and_held_at_its_end(rig: Rig) -> None:
+    space, found, later = wandering(rig)
+    carried = carry(space, rig.tried, found)
+    (said,) = carried.corrections
+    assert said["covariates"] == ["time"]
+    assert "held where it was at the end" in said["sentence"]
+    assert carried.after < 0.9 * carried.before
+    calibration = extended(space, carried.found)
+    left = np.nanmean(residuals(later, calibration), axis=(0, 1))
+    assert abs(left[1]) < 0.3 * WANDERED
+    plain = np.nanmean(residuals(later, rig.base), axis=(0, 1))
+    assert abs(plain[1]) > 0.7 * WANDERED  # a base model of before it rose
+    pose, load = rig.first.q[20], rig.first.wrench[20]
+    with_it, without = (
+        Compensator(c, Bounds(travel=0.1, angle=0.1)).for_joints(pose, load)
+        for c in (calibration, replace(calibration, effects=()))
+    )
+    assert np.abs(with_it.corrected - without.corrected).max() < WANDERED  # on average, not as it was at the end
+    assert "no axis is driven by it" in with_it.effects[0].why
+
+
+def test_what_is_not_carried_of_it_is_the_base_models_on_average(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ppshw.diagnosis.carried.NAMELESS_GAIN", 0.0)
+    space, found, _ = wandering(rig)
+    carried = carry(space, rig.tried, found)
+    assert carried.corrections == []
+    moved = (space.data - rig.space.data).reshape(rig.first.points.shape) @ rig.base.measuring_in_base[:3, :3]
+    first = replace(rig.first, points=rig.first.points + moved)
+    left = np.nanmean(residuals(first, extended(space, carried.found)), axis=(0, 1))
+    assert np.abs(left).max() < 0.05 * WANDERED
+
+
+def test_what_goes_with_time_is_no_gaussian_process(rig: Rig) -> None:
     """Nor what counts the visits, or warms up steadily while they pass."""
     counts = np.arange(FIT) ** 1.5 + np.random.default_rng(0).normal(0, 20, FIT)
     c = replace(rig.space.context, recording=replace(rig.first, covariates={"count": counts}))
@@ -250,9 +300,7 @@ def test_a_clean_recording_gets_no_correction(rig: Rig) -> None:
     assert carried.after == carried.before
 
 
-def _as_found(tried: Tried, best: int, space: Workspace):  # type: ignore[no-untyped-def]
-    from ppshw.diagnosis.search import Found
-
+def _as_found(tried: Tried, best: int, space: Workspace) -> Found:
     columns = np.stack([c.evaluate(space.context) for c in tried.candidates[best].columns], axis=2)
     space.take_up(columns, np.full(columns.shape[2], 1e-4))
     return Found(best, ("nameless", None), 1e-3, 10.0)
