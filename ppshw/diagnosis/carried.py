@@ -26,6 +26,7 @@ from ppshw.terms.shapes import Column, Context, columns_at
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LIKE_TIME = 0.95  # rank correlation with the order of visits
+COMES_AGAIN = ("pause", "since_load_change")
 NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be less than this times the rms without
 
 
@@ -117,9 +118,10 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
 
 
 def a_matter_of_time(c: Context, names: tuple[str, ...]) -> bool:
-    """Whether one of the columns is the time, or rises or falls with it so steadily that nothing tells them apart."""
+    """Whether one of the columns is the time, or rises or falls with it so steadily that nothing tells them apart. A
+    pause or the age of a load comes again."""
     for name in names:
-        if column_of(name)[0] == "time":
+        if column_of(name)[0] == "time" and name not in COMES_AGAIN:
             return True
         values = columns_at(c, (name,))[:, 0]
         if np.ptp(values) > 0 and abs(spearmanr(values, np.arange(len(values))).statistic) > LIKE_TIME:

@@ -482,7 +482,7 @@ def named_column(c: Context, name: str) -> Array:
     if name == "time":
         return np.asarray(c.hours)
     if name == "pause":
-        pauses = np.diff(c.hours)
+        pauses = np.round(np.diff(c.hours), 7)  # a clock's own rounding is no change of pace
         return np.concatenate([[np.median(pauses) if len(pauses) else 0.0], pauses])
     if name == "since_load_change":
         return hours_since_change(r.load, c.hours)

@@ -281,7 +281,8 @@ def test_what_goes_with_time_is_no_gaussian_process(rig: Rig) -> None:
     counts = np.arange(FIT) ** 1.5 + np.random.default_rng(0).normal(0, 20, FIT)
     c = replace(rig.space.context, recording=replace(rig.first, covariates={"count": counts}))
     assert a_matter_of_time(c, ("q_lateral", "time"))
-    assert a_matter_of_time(c, ("since_load_change",))
+    assert not a_matter_of_time(c, ("since_load_change",))
+    assert not a_matter_of_time(c, ("pause",))
     assert a_matter_of_time(c, ("cov_count",))
     assert not a_matter_of_time(c, ("previous_q_lateral",))
 

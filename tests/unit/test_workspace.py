@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import MOMENTS, library, own_component
+from ppshw.diagnosis.locate import covariates
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence, stand_ins
 from ppshw.diagnosis.workspace import CAUTION, STANDS_OUT, Workspace, caution_of, prepare
@@ -533,7 +534,10 @@ def test_an_effect_has_a_size_where_all_scatter_was_put_down_to_the_instrument(s
 
 def test_the_pause_before_a_visit_is_sought_and_said_as_time(space: Workspace) -> None:
     c = space.context
-    np.testing.assert_allclose(named_column(c, "pause")[1:], np.diff(c.hours))
+    np.testing.assert_allclose(named_column(c, "pause")[1:], np.diff(c.hours), atol=1e-7)
+    steady = replace(c, hours=np.arange(len(c.hours)) / 40.0)  # as visits are counted where the time is unknown
+    assert np.ptp(named_column(steady, "pause")) == 0.0
+    assert ("pause",) not in [k.names for k in covariates(steady)]
     assert [k for k in nameless(c) if k.covariates == ("pause",) and k.frame == "j2"]
     assert column_of("pause") == ("time", "since the visit before")
 
