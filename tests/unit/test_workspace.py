@@ -14,7 +14,7 @@ from ppshw.diagnosis.library import MOMENTS, library, own_component
 from ppshw.diagnosis.locate import covariates
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence, stand_ins
-from ppshw.diagnosis.workspace import CAUTION, STANDS_OUT, Workspace, caution_of, prepare
+from ppshw.diagnosis.workspace import CAUTION, FINEST, STANDS_OUT, Workspace, caution_of, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects
@@ -442,19 +442,20 @@ def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_
         assert said[j] == pytest.approx(by_hand * (0.7 if name[0] == "nameless" and by_hand > 0 else 1.0))
 
 
-def test_the_finest_waves_of_one_joint_are_not_absorbed_when_no_other_joint_has_such(space: Workspace) -> None:
-    model = space.base.model
+@pytest.mark.parametrize("band", [FINEST, FINEST - 1])
+def test_waves_of_one_joint_are_not_absorbed_when_no_other_joint_has_such(space: Workspace, band: int) -> None:
+    model, end = space.base.model, f".r.band{band}"
     strengths = np.array([space.base.groups[p.group] * p.scale for p in model.parameters()])
-    finest = np.array([p.group.endswith(".r.band3") for p in model.parameters()])
-    one = np.array([p.group == f"geometric.{space.machine.joint_names[2]}.r.band3" for p in model.parameters()])
+    all_alike = np.array([p.group.endswith(end) for p in model.parameters()])
+    one = np.array([p.group == f"geometric.{space.machine.joint_names[2]}{end}" for p in model.parameters()])
     assert one.any()
-    strengths[finest] = 1e-5
+    strengths[all_alike] = 1e-5
     strengths[one] = 1e-3
     caution = caution_of(model, strengths)
-    assert np.allclose(caution[finest & ~one], CAUTION)
-    assert np.allclose((caution * strengths)[one], CAUTION * STANDS_OUT * 1e-5)
-    strengths[finest] = 1e-3  # a machine that is like that everywhere
-    assert np.allclose(caution_of(model, strengths)[finest], CAUTION)
+    assert np.allclose(caution[all_alike & ~one], CAUTION)
+    assert np.allclose((caution * strengths)[one], CAUTION * STANDS_OUT[f".band{band}"] * 1e-5)
+    strengths[all_alike] = 1e-3  # a machine that is like that everywhere
+    assert np.allclose(caution_of(model, strengths)[all_alike], CAUTION)
 
 
 def test_one_link_s_creep_is_its_part_of_all_links(space: Workspace) -> None:
