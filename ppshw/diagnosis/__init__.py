@@ -22,10 +22,10 @@ from ppshw.diagnosis.gross import (
     scatter_without_a_name,
     still_gross,
 )
+from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import LOADS, Found, search
-from ppshw.diagnosis.stairs import stairs
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -127,8 +127,9 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
-    jumps = [] if "zero_shift" in without else stairs(space)
-    candidates = library(space.context, without, moments, periods, bands, jumps) + nameless(space.context)
+    jumps = [] if "zero_shift" in without else jumps_of_zeros(space)
+    knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
+    candidates = library(space.context, without, moments, periods, bands, jumps, knocks) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.unit, without)

@@ -52,8 +52,9 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     joint = c.machine.joint_names.index(str(k.joint))
     low, high = float(c.recording.q[:, joint].min()), float(c.recording.q[:, joint].max())
     ways = (high - low) * np.array([0.005, 0.02, 0.05, 0.12, 0.3])
-    slips = [_on(k, "slipping", joint=joint, width=float(way)) for way in ways]
-    slips += [_on(k, "winding", joint=joint, way=float(way)) for way in ways]
+    past = {key: value for key, value in k.columns[0].args.items() if key == "past"}
+    slips = [_on(k, "slipping", joint=joint, width=float(way), **past) for way in ways]
+    slips += [_on(k, "winding", joint=joint, way=float(way), **past) for way in ways]
     if not c.recording.has_approach:
         return slips
     tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
@@ -128,7 +129,8 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
 
 
 def _zero_shift(c: Context, k: Candidate) -> list[Column]:
-    moment = float(k.columns[0].args["visit_time"])
+    args = k.columns[0].args
+    moment = float(args["times"][0] if "times" in args else args["visit_time"])
     step = float(c.hours[-1]) / STEPS
     later = [_on(k, "step", visit_time=step * j) for j in range(1, STEPS)]
     return [*later, *(_on(k, "settling", visit_time=moment, tau=tau) for tau in (0.5, 2.0))]

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
+from ppshw.terms.history import STANDSTILL
 from ppshw.terms.shapes import Column, Context, load_of
 
 Array = NDArray[np.float64]
 ORDINALS = ("", "second_", "third_", "fourth_")
-Stairs = tuple[str, tuple[float, ...]]  # a joint, and moments [h]
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
+KNOCKS = 150  # moments between which a reflector may be moved more than once
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (
@@ -39,6 +40,8 @@ SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 # Parts of a joint's travel over which it takes up what it lost: friction winds up over a fiftieth of it or more (every
 # author's friction of whom we know does), play between soft walls over less.
 WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
+WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
+SOME_CAME_BACK = 0.03  # of the visits
 SOFT_WALLS = np.array([0.002, 0.005, 0.01])
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
@@ -56,6 +59,15 @@ FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
 # Moments that change by less bend nothing: a weak joint of 1e-4 rad/(N m) turns by 5 µrad. The heaviest chain: 100 N.
 LEAST_MOMENT, HEAVIEST_CHAIN = 0.05, 100.0  # N m (standard deviation over the visits), N
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """A joint's zero or a reflector jumps at these moments [h]: by any amounts, or there and back (`hops`)."""
+
+    of: str
+    moments: tuple[float, ...]
+    hops: bool = False
 
 
 @dataclass
@@ -90,7 +102,7 @@ def all_kept() -> Iterator[None]:
 def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
-    stairs: Sequence[Stairs] = (),
+    jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (),
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -99,15 +111,17 @@ def library(
              between all visits about them
     periods  of joints that seem to have a wave: what is tried at half waves over the travel is tried between them
     bands    of waves without a name that seem to be there across a joint's own direction: one of them may be all of it
-    stairs   moments of several jumps of a joint's zero that the recording speaks for most
+    jumps    moments of several jumps of a joint's zero that the recording speaks for most
+    knocks   the same of reflectors
     """
     makers = (
         _backlash, _friction, _thermal, _tracker_scale, _nonlinear, _clearance, _coupling, _moving_weight,
         _wrench, _creep, _creep_from_nothing, _missing_compliance,
     )  # fmt: skip
     found = [k for make in makers for k in make(c)]
-    found += [k for make in (_drift, _target, _sensor_jumps) for k in make(c, _with_more(c, moments))]
-    found += [*_periodic(c, periods), *_periodic_across(c, bands), *_zero_shift(c, stairs)]
+    found += [k for make in (_drift, _sensor_jumps) for k in make(c, _with_more(c, moments))]
+    found += _target(c, _with_more(c, moments), knocks)
+    found += [*_periodic(c, periods), *_periodic_across(c, bands), *_zero_shift(c, jumps)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:
@@ -149,7 +163,22 @@ def _friction(c: Context) -> Iterator[Candidate]:
         # where nobody knows from which side a joint came, lost motion of any kind is friction
         parts = WINDS_UP if _came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
         for width, column in _taken_up(c, k, parts):
-            yield Candidate(*where, (column,), {"width": width})
+            for lag, shape, share in _went_past(c, k, column):
+                yield Candidate(*where, (lag,), {"width": width, **shape}, share)
+                for by in (-1, own_component(c, k)):
+                    more = replace(lag, args={**lag.args, "pressed": by})
+                    yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.3 * share)
+
+
+def _went_past(c: Context, k: int, lag: Column) -> Iterator[tuple[Column, dict[str, float], float]]:
+    """A lag as it is where a joint went far past what it then came back to, and where it went a little past: visits to
+    which it came from the other side than the way from the last one says ask for it."""
+    yield lag, {}, 1.0
+    q, side = c.recording.q[:, k], c.recording.approach[:, k]
+    far = float(np.ptp(q))
+    if np.mean(np.diff(q) * side[1:] < -STANDSTILL * far) >= SOME_CAME_BACK:
+        for part in WENT_PAST:
+            yield replace(lag, args={**lag.args, "past": part * far}), {"past": part * far}, 0.5
 
 
 def _came_from_both_sides(c: Context, k: int) -> bool:
@@ -564,12 +593,17 @@ def visits_between(c: Context) -> list[float]:
     return moments_between(c, 450)
 
 
+def some_between(c: Context) -> list[float]:
+    """Moments between visits at which a reflector may have been moved more than once [h]."""
+    return moments_between(c, KNOCKS)
+
+
 def shift_of_zero(c: Context, k: int, moment: float) -> Column:
     """What a jump of a joint's zero at a moment [h] does from then on."""
     return Column("frame", "step", {"visit_time": moment}, k + 1, own_component(c, k))
 
 
-def _zero_shift(c: Context, stairs: Sequence[Stairs]) -> Iterator[Candidate]:
+def _zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         own = own_component(c, k)
         where = ("zero_shift", name, name, COMPONENTS[own], "time")
@@ -580,9 +614,15 @@ def _zero_shift(c: Context, stairs: Sequence[Stairs]) -> Iterator[Candidate]:
             pairs = len(some) * (len(some) - 1) / 2
             both = shift_of_zero(c, k, first), shift_of_zero(c, k, second)
             yield Candidate(*where, both, _moments(first, second), 0.2 / pairs)
-        for moments in (moments for joint, moments in stairs if joint == name):
-            jumps = tuple(shift_of_zero(c, k, moment) for moment in moments)
-            yield Candidate(*where, jumps, _moments(*moments), 0.1 / math.comb(len(every), len(moments)))
+        for many in (many for many in jumps if many.of == name):
+            share = 0.1 / math.comb(len(every), len(many.moments))
+            if many.hops:
+                hopping = Column("frame", "hopping", {"times": many.moments}, k + 1, own)
+                shape = {"time_h": many.moments[0], "hops": float(len(many.moments))}
+                yield Candidate(*where, (hopping,), shape, share)
+            else:
+                columns = tuple(shift_of_zero(c, k, moment) for moment in many.moments)
+                yield Candidate(*where, columns, _moments(*many.moments), share)
         for moment in some:
             for tau in (0.5, 1.5):
                 back = Column("frame", "settling", {"visit_time": moment, "tau": tau}, k + 1, own)
@@ -624,16 +664,24 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
             yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)
 
 
-def _target(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
-    if c.points.shape[1] < 2:
-        return
-    # there from the start; knocked at a moment; or sliding from then on
-    courses = [(-1.0, 0.0, 1.0)] + [(t, 0.0, 1.0 / len(moments)) for t in moments]
+def shift_of_reflector(target: int, moment: float, **more: float) -> tuple[Column, ...]:
+    """A reflector elsewhere from a moment on [h], along each axis of the end effector; always where it is negative."""
+    args = {"target": target, "since": moment, **more}
+    return tuple(Column("points", "target_shift", {**args, "axis": a}) for a in range(3))
+
+
+def _target(c: Context, moments: Sequence[float], knocks: Sequence[Jumps]) -> Iterator[Candidate]:
+    # there from the start (where it stands alone nobody can say so); knocked at a moment; or sliding from then on
+    courses = [(-1.0, 0.0, 1.0)] if c.points.shape[1] > 1 else []
+    courses += [(t, 0.0, 1.0 / len(moments)) for t in moments]
     courses += [(t, slow, 0.5 / len(SLIDES_H) / len(moments)) for t in moments for slow in SLIDES_H]
     for t, name in enumerate(c.recording.target_names):
         for moment, slow, share in courses:
-            args = {"target": t, "since": moment, **({"slow": slow} if slow else {})}
-            columns = tuple(Column("points", "target_shift", {**args, "axis": a}) for a in range(3))
+            columns = shift_of_reflector(t, moment, **({"slow": slow} if slow else {}))
             shape = {"time_h": moment} if moment >= 0 else {}
             shape |= {"tau_h": slow} if slow else {}
             yield Candidate("target_moved", None, None, None, name, columns, shape, share)
+        for many in (many for many in knocks if many.of == name):
+            columns = tuple(column for moment in many.moments for column in shift_of_reflector(t, moment))
+            share = 0.2 / math.comb(len(some_between(c)), len(many.moments))
+            yield Candidate("target_moved", None, None, None, name, columns, _moments(*many.moments), share)

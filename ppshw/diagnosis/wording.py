@@ -149,12 +149,13 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
         units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
     elif candidate.effect == "friction_hysteresis":
-        names = ["lag"]
+        names = ["lag", "added_at_twice_the_load"][: len(values)]
     elif candidate.effect == "zero_shift":
         back = candidate.columns[-1].function == "settling"
         names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
     elif candidate.effect == "target_moved":
-        names, units = ["dx", "dy", "dz"], ["m"] * 3
+        whens = ORDINALS[: len(values) // 3]
+        names, units = [f"{word}d{axis}" for word in whens for axis in "xyz"], ["m"] * len(values)
     elif candidate.effect == "moving_weight":
         names, units = _weight(candidate, unit)
     elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
@@ -230,7 +231,7 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
 def _shape_unit(name: str, unit: str, covariate: str) -> str:
     if name.endswith(("load_width", "knee_load")):
         return _load_unit(covariate)
-    return "h" if name.endswith("_h") else unit if name == "width" else "1"
+    return "h" if name.endswith("_h") else unit if name in ("width", "past") else "1"
 
 
 def _load_unit(covariate: str) -> str:
@@ -255,6 +256,8 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
     rotary = (candidate.component or "t").startswith("r")
     amount = f"{2 * abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'}"
+    if candidate.effect == "target_moved":
+        return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
         "backlash": f"{joint} lags behind by {amount} whenever it turns back: lost motion in its drive ({size}).",
         "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
@@ -271,24 +274,36 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "") + f" ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
-        "zero_shift": f"{joint}'s zero jumped by {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
+        "zero_shift": f"{joint}'s zero {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
         f"({size}).",
-        "target_moved": f"reflector {candidate.covariate} "
-        + ("slides away from where" if "tau_h" in candidate.shape else "is not where") + " the machine file says"
-        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
-        + f", by {np.linalg.norm(values) * 1e3:.3f} mm.",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
 
 
 def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
-    """How far a zero jumped, and when: once or again and again."""
+    """How far a zero jumped, and when: once, again and again, or there and back."""
+    if "hops" in candidate.shape:
+        apart = f"{abs(values[0]) * 1e3:.3f} {unit}"
+        first, count = candidate.shape["time_h"], candidate.shape["hops"]
+        return f"hops between two values {apart} apart, {count:.0f} times, first after {first:.2f} h"
     steps = [v for v, column in zip(values, candidate.columns, strict=True) if column.function == "step"]
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
-    return said[0].lstrip("+-") if len(said) == 1 else " and ".join(said)
+    return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
+
+
+def _moved(candidate: Candidate, values: Array) -> str:
+    """Since when a reflector is elsewhere, and how far: once, or again and again."""
+    moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
+    far = [1e3 * float(np.linalg.norm(shift)) for shift in values.reshape(-1, 3)]
+    if len(moments) > 1:
+        said = [f"{mm:.3f} mm after {t:.2f} h" for mm, t in zip(far, moments, strict=True)]
+        return f"moved by {' and '.join(said)}"
+    how = "slides away from where" if "tau_h" in candidate.shape else "is not where"
+    when = "".join(f" from {t:.2f} h on" for t in moments)
+    return f"{how} the machine file says{when}, by {far[0]:.3f} mm"
 
 
 def _channels(candidate: Candidate) -> str:

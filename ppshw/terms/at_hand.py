@@ -28,7 +28,7 @@ from ppshw.terms.shapes import Column, Context, bump, compliances
 
 Array = NDArray[np.float64]
 # Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
-BY_CLOCK_ALONE = frozenset({"clock", "step", "settling"})
+BY_CLOCK_ALONE = frozenset({"clock", "step", "hopping", "settling"})
 CLOCK = BY_CLOCK_ALONE | {"clock_q"}
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
                      "load_q", "load_turn", "load_power", "load_knee", "load_side", "load_bump", "load_legendre",
@@ -160,7 +160,7 @@ class KnownEffects:
             return np.asarray(column.value(context)[-1])
         if column.function not in BY_CLOCK_ALONE:
             return self._on_average(effect, column, context)
-        key = effect.name, column.function, tuple(sorted(column.args.items()))
+        key = effect.name, column.function, str(sorted(column.args.items()))
         if key not in self._averages:
             self._averages[key] = self._on_average(effect, column, context)
         return self._averages[key]

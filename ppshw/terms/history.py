@@ -6,6 +6,8 @@ visits is taken as straight (a move never turns back on its way).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,19 +23,29 @@ def hours_since(start: float, time: Array) -> Array:
     return np.asarray((time - start) / 3600.0)
 
 
-def slip(q: Array, approach: NDArray[np.int64], width: float) -> Array:
+def slip(q: Array, approach: NDArray[np.int64], width: float, past: float = math.inf) -> Array:
     """State of a slipping spring (Jenkins element): follows the motion, held within ±width, −1 … 1 when divided by it.
 
         z ← clip(z + Δq, −w, w)                                     (Al-Bender et al. 2005, generalized Maxwell slip)
 
-    q (N,), approach (N,) of the first visit sets where it starts; width in the joint's unit.
+    q (N,), approach (N,) of the first visit sets where it starts; width in the joint's unit; past: how far it went past
+    where it then came to from the other side, in its unit (more than any width where nobody says).
     """
     z = float(approach[0]) * width if len(approach) else 0.0
     out = np.empty(len(q))
-    for k, (step, anew) in enumerate(_steps(q, approach)):
-        z = float(approach[k]) * width if anew else min(width, max(-width, z + step))
+    for k, ways in enumerate(_ways(q, approach, past)):
+        for way in ways:
+            z = min(width, max(-width, z + way))
         out[k] = z
     return out / width
+
+
+def _ways(q: Array, approach: NDArray[np.int64], past: float) -> list[tuple[float, ...]]:
+    """Per visit the ways that the joint went one after the other, each to one side."""
+    return [
+        (step - float(side) * past, float(side) * past) if anew else (step,) if step else ()
+        for (step, anew), side in zip(_steps(q, approach), approach, strict=True)
+    ]
 
 
 def _steps(q: Array, approach: NDArray[np.int64]) -> list[tuple[float, bool]]:
@@ -49,18 +61,19 @@ def _steps(q: Array, approach: NDArray[np.int64]) -> list[tuple[float, bool]]:
     return out[: len(q)]
 
 
-def wind_up(q: Array, approach: NDArray[np.int64], way: float) -> Array:
+def wind_up(q: Array, approach: NDArray[np.int64], way: float, past: float = math.inf) -> Array:
     """Friction that builds up exponentially with the way since the last reversal, −1 … 1.
 
         dz = dq (1 − z sgn dq)/way                                  (Dahl 1968, exponent 1)
 
-    q (N,), approach (N,) of the first visit sets where it starts; way in the joint's unit.
+    q (N,), approach (N,), past as in `slip`; way in the joint's unit.
     """
     z = float(approach[0]) if len(approach) else 0.0
     out = np.empty(len(q))
-    for k, (step, anew) in enumerate(_steps(q, approach)):
-        wall = float(np.sign(step))
-        z = float(approach[k]) if anew else wall + (z - wall) * float(np.exp(-abs(step) / way)) if step else z
+    for k, ways in enumerate(_ways(q, approach, past)):
+        for gone in ways:
+            wall = math.copysign(1.0, gone)
+            z = wall + (z - wall) * math.exp(-abs(gone) / way)
         out[k] = z
     return out
 

@@ -6,6 +6,7 @@ once (N, n+1, 6); or on the measured points themselves (N, T, 3). `FUNCTIONS` li
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -209,12 +210,25 @@ def turning(c: Context, joint: int, knot: int, count: int) -> Array:
     return approach(c, joint) * bump(at, knot, count)
 
 
-def slipping(c: Context, joint: int, width: float) -> Array:
-    return slip(c.recording.q[:, joint], c.recording.approach[:, joint], width)
+def slipping(c: Context, joint: int, width: float, pressed: int | None = None, past: float = math.inf) -> Array:
+    """Evenly taken up; with `pressed` what is more of it where the joint is loaded more than on average; `past` how far
+    it went past where it came to from the other side."""
+    lag = slip(c.recording.q[:, joint], c.recording.approach[:, joint], width, past)
+    return lag if pressed is None else lag * _pressed(c, joint, pressed)
 
 
-def winding(c: Context, joint: int, way: float) -> Array:
-    return wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way)
+def winding(c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf) -> Array:
+    """Ever more slowly; `pressed` and `past` as in `slipping`."""
+    lag = wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way, past)
+    return lag if pressed is None else lag * _pressed(c, joint, pressed)
+
+
+def _pressed(c: Context, joint: int, component: int) -> Array:
+    """By what share a joint's load is above its mean: the force upon it (-1), or what its drive holds (a component),
+    either way. Friction goes with it (Coulomb)."""
+    w = c.wrenches[:, joint + 1]
+    load = np.linalg.norm(w[:, :3], axis=1) if component < 0 else np.abs(w[:, component])
+    return np.asarray(load / max(c.frozen(f"pressed.{joint}.{component}", float(load.mean())), 1e-9) - 1.0)
 
 
 def temperature(c: Context, place: str, tau: float) -> Array:
@@ -265,6 +279,11 @@ def clock_q(c: Context, order: int, joint: int) -> Array:
 def step(c: Context, visit_time: float) -> Array:
     """1 from a moment on (hours since the start)."""
     return np.asarray((c.hours >= visit_time).astype(float))
+
+
+def hopping(c: Context, times: Sequence[float]) -> Array:
+    """0 and 1 by turns: another one from each of these moments on (hours since the start, rising)."""
+    return np.asarray((np.searchsorted(times, c.hours, side="right") % 2).astype(float))
 
 
 def settling(c: Context, visit_time: float, tau: float) -> Array:
@@ -780,7 +799,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, turning, slipping, winding, temperature, temperature_q, link_growth, clock,
-        clock_q, step, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee, load_side,
+        clock_q, step, hopping, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee, load_side,
         load_side_held, load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging,
         pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain,
         angle_error, refraction, target_shift, unexplained, instead, model_shift,

@@ -14,6 +14,7 @@ from ppshw.terms.history import (
     side_held,
     slip,
     way_since_reversal,
+    wind_up,
 )
 
 
@@ -34,6 +35,18 @@ def test_a_spring_with_hardly_any_width_is_the_sign_of_the_approach() -> None:
 def test_a_visit_reached_from_the_other_side_has_turned_back_on_its_way() -> None:
     # the setpoint lies higher than the one before, yet it was approached from above
     assert slip(np.array([0.0, 0.5]), np.array([1, -1]), 0.1)[1] == -1.0
+
+
+def test_what_went_a_little_past_has_taken_up_that_little_only() -> None:
+    q, approach = np.array([0.0, 0.5, 0.7]), np.array([1, -1, -1])
+    # up to 0.53 and 0.73, then down by 0.03: 0.1 less the way back, of 0.1
+    assert np.allclose(slip(q, approach, 0.1, past=0.03), [1.0, 0.7, 0.7])
+    assert np.allclose(slip(q, approach, 0.1, past=0.5), [1.0, -1.0, -1.0])
+    up, down = 1.0, np.exp(-0.3)  # of the way 0.1
+    once = -1.0 + (up + 1.0) * down
+    again = 1.0 + (once - 1.0) * np.exp(-2.3)
+    assert np.allclose(wind_up(q, approach, 0.1, past=0.03), [1.0, once, -1.0 + (again + 1.0) * down])
+    assert np.allclose(wind_up(q, approach, 0.1), [1.0, -1.0, -1.0])
 
 
 def test_the_way_since_a_joint_turned_back_adds_up_until_it_turns_again() -> None:

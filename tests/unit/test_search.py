@@ -116,6 +116,41 @@ def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -
     assert _best(tried, found[0]).shape["width"] == pytest.approx(width)
 
 
+def test_friction_of_a_joint_that_goes_a_little_past_where_it_comes_back_to_is_friction(space: Workspace) -> None:
+    """It has not taken up what it lost when it stands: near to no lag there, and no play."""
+    k, recording = space.machine.joint_names.index(NAME), space.recording
+    approach = recording.approach.copy()
+    approach[::4, k] *= -1  # a quarter of the visits, from the other side than the way from the last one says
+    turned = replace(space, context=replace(space.context, recording=replace(recording, approach=approach)))
+    width, past = 0.15 * _travel(space), 0.03 * _travel(space)
+    there = _with(turned, _on_the_joint(turned, "slipping", width=width, past=past), 3.0)
+    some = [each for each in library(turned.context) if each.effect in ("friction_hysteresis", "backlash")]
+    tried = Tried(there, some, 5e-5)
+    evidence = tried.evidence(tried.scores()[None])[0] + tried.log_share
+    best = some[int(np.argmax(evidence))]
+    assert (best.effect, best.joint) == ("friction_hysteresis", NAME)
+    assert 0.5 * past < best.shape["past"] < 2 * past
+    far = [j for j, each in enumerate(some) if "past" not in each.shape]
+    assert evidence.max() > evidence[far].max() + 20
+    assert all(column.args["past"] == best.shape["past"] for column in near_forms(turned.context, best)[:10])
+    assert not any("past" in each.shape for each in library(space.context))  # where no joint did so
+
+
+def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) -> None:
+    k = space.machine.joint_names.index(NAME)
+    width, weight = 0.15 * _travel(space), np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
+    lag = _on_the_joint(space, "slipping", width=width)
+    moved = lag.evaluate(space.context) * (weight / weight.mean())[:, None]  # Coulomb's, by hand
+    moved *= 4 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("friction_hysteresis", NAME)]
+    said = finding(there, tried, found[0])["parameters"]
+    assert list(said)[:2] == ["lag", "added_at_twice_the_load"]
+    ratio = said["added_at_twice_the_load"]["value"] / said["lag"]["value"]
+    assert ratio == pytest.approx(1.0, abs=0.3)
+
+
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
     """What it loses is more than an eighth of the way over which it builds up."""
     width = 0.02 * _travel(space)
