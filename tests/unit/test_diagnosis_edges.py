@@ -81,13 +81,12 @@ def effects(answer: dict[str, Any]) -> set[str]:
     return {row["effect"] for row in answer["visibility"]}
 
 
-def test_one_reflector_is_enough_and_cannot_have_moved_against_others(case: Case, tmp_path: Path) -> None:
+def test_one_reflector_is_enough_and_may_have_been_moved_at_some_moment(case: Case, tmp_path: Path) -> None:
     targets = case.machine["tip"]["targets"]
     case.machine["tip"]["targets"] = {"P1": targets["P1"]}
     case.without(lambda name: name.startswith(("P2_", "P3_")))
     answer = answered(case, tmp_path)
-    assert "target_moved" not in effects(answer)
-    assert "backlash" in effects(answer)
+    assert {"backlash", "target_moved"} <= effects(answer)
 
 
 def test_what_needs_a_wrench_a_thermometer_or_directions_is_not_spoken_of_without_them(
