@@ -419,8 +419,8 @@ def _of_three_positions(c: Context) -> Iterator[Candidate]:
 
 
 def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders; what carries them all swells with a column; the space around the instrument is
-    stretched, for good or with a temperature."""
+    """A single reflector wanders; what carries them all swells with a column; distances are off the more aslant the
+    beam falls in; the space around the instrument is stretched, for good or with a temperature."""
     if c.points.shape[1] > 1:
         for t, name in enumerate(c.recording.target_names):
             moves = tuple(
@@ -435,6 +435,12 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for t, a in itertools.product(targets, axes)
             ]  # fmt: skip
             yield _nameless(c, None, None, (name,), swells)
+    products = [(a, -1) for a in range(3)] + list(itertools.combinations_with_replacement(range(3), 2))
+    for target in range(-1, c.points.shape[1] if c.points.shape[1] > 1 else 0):
+        aslant = tuple(
+            Column("points", "range_error", {"first": a, "second": b, "target": target}) for a, b in products
+        )
+        yield Candidate("nameless", None, None, None, "incidence", aslant)
     for angle in ("azimuth", "elevation"):
         for most in (2, 6):
             off = tuple(

@@ -104,7 +104,12 @@ def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
     if candidate.covariate in c.recording.target_names:
         return [("time", f"of reflector {candidate.covariate}")]
     nearest = most_alike(c, named_column(c, candidate.covariate))[:2]
-    return [(name, f"for the {candidate.covariate} from the instrument") for name in nearest]
+    said = f"for the {candidate.covariate} from the instrument"
+    if candidate.covariate == "incidence":
+        target = int(candidate.columns[0].args["target"])
+        which = f"reflector {c.recording.target_names[target]}" if target >= 0 else "the reflectors"
+        said = f"for how aslant the beam falls into {which}"
+    return [(name, said) for name in nearest]
 
 
 def history_of(said: Sequence[tuple[str, str]]) -> str | None:
@@ -270,7 +275,8 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "nonlinear_stiffness": f"{joint} does not give way in proportion to {candidate.covariate} ({size}).",
         "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
-        "moving_weight": f"the machine is bent by more weight at {joint} than its file says ({size}).",
+        "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
+        f"({size}).",
         "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "") + f" ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
@@ -292,6 +298,11 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
     return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
+
+
+def _hose(candidate: Candidate) -> str:
+    by = [column.args["by"] for column in candidate.columns if "by" in column.args]
+    return f", which {str(candidate.covariate).removeprefix('q_')} moves" if by else ""
 
 
 def _moved(candidate: Candidate, values: Array) -> str:

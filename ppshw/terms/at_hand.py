@@ -94,6 +94,8 @@ class KnownEffects:
             return False, "nothing says that it stays: no axis is driven by it, nor by what it would change"
         if any(c.on == "points" for c in effect.columns):
             return False, "an error of the instrument, not of the machine; its readings keep it"
+        if any(c.function == "hopping" for c in effect.columns):
+            return True, "as at the recording's end; it hops, and where it is now cannot be known"
         if effect.name == "zero_shift":
             return True, "as at the recording's end; whether it was homed since cannot be known"
         if any(_by_clock(c) for c in effect.columns):

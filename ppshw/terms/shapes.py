@@ -466,7 +466,8 @@ def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
     turned back), pace_<joint> (way a joint went since the visit before, per hour), reach (from the base to the last
-    frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), pause
+    frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), incidence
+    (of the beam along that axis of the end effector where it changes most), pause
     (since the visit before, h), load and former_load (mass of this payload and of the one before, kg),
     previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
@@ -487,6 +488,9 @@ def named_column(c: Context, name: str) -> Array:
     if name in ("azimuth", "elevation"):
         at = _seen_at(c, name)[0].mean(axis=1)
         return np.asarray(np.angle(np.exp(1j * at) / np.exp(1j * at).mean()))
+    if name == "incidence":
+        seen = _incidence(c)[1].mean(axis=1)
+        return np.asarray(seen[:, int(np.argmax(seen.std(axis=0)))])
     if name == "distance":
         return np.asarray(np.linalg.norm(c.points - c.measuring_in_base[:3, 3], axis=2).mean(axis=1))
     if name == "reach":
@@ -593,10 +597,11 @@ def _expected(c: Context, wrench: Array) -> Array:
     return np.asarray(np.einsum("nfab,nb->nfa", given, wrench))
 
 
-def body_weight(c: Context, joint: int, what: str, grows: int = 0) -> Array:
+def body_weight(c: Context, joint: int, what: str, grows: int = 0, by: int | None = None) -> Array:
     """Deflection by 1 kg more on a joint's body ("mass"), or by 1 kg·m of shifted mass ("x", "y", "z").
 
-    grows  what hangs there goes with that power of the joint's position, −1 … 1 over its travel: a cable chain
+    grows  what hangs there goes with that power of a joint's position, −1 … 1 over its travel: a cable chain
+    by     of another joint's than its own: a hose that the other one pulls along
     """
     out = np.zeros_like(c.wrenches)
     g = c.machine.gravity
@@ -613,7 +618,7 @@ def body_weight(c: Context, joint: int, what: str, grows: int = 0) -> Array:
             axis = pose[:, :3, "xyz".index(what)]
             moment = np.cross(axis, np.broadcast_to(g, (len(out), 3)))
         out[:, i] = np.einsum("nab,nb->na", c.compliance[:, i], _turned(frame, force, moment))
-    return np.asarray(out * (c.u(joint) ** grows)[:, None, None]) if grows else out
+    return np.asarray(out * (c.u(joint if by is None else by) ** grows)[:, None, None]) if grows else out
 
 
 def sensor_error(
@@ -767,6 +772,24 @@ def _seen_at(c: Context, angle: str) -> tuple[Array, Array]:
     return np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
 
 
+def range_error(c: Context, first: int, second: int = -1, target: int = -1) -> Array:
+    """Distances longer by a component of the direction in which the end effector's axes see the beam, or by the product
+    of two: reflectors whose cube corner or sphere is off, the more the more aslant the beam falls in. target: of one
+    reflector; -1: of all alike."""
+    beam, seen = _incidence(c)
+    by = seen[..., first] * (seen[..., second] if second >= 0 else 1.0)
+    if target >= 0:
+        by = by * (np.arange(by.shape[1]) == target)
+    return np.asarray(beam * by[..., None])
+
+
+def _incidence(c: Context) -> tuple[Array, Array]:
+    """Unit vectors of the beams in the base and in the end effector's axes: (N, T, 3) each."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    beam = rays / np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), 1e-9)
+    return beam, np.einsum("nji,ntj->nti", c.tips[:, :3, :3], beam)
+
+
 def refraction(c: Context, place: str, part: int) -> Array:
     """What bends upwards per kelvin: by a coordinate in the measuring frame (part 0 to 2), evenly (3), with the squared
     distance from its origin (4): together with the squared distance from wherever the instrument stands. The beam does
@@ -802,6 +825,6 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         clock_q, step, hopping, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee, load_side,
         load_side_held, load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging,
         pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain,
-        angle_error, refraction, target_shift, unexplained, instead, model_shift,
+        angle_error, range_error, refraction, target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

@@ -364,6 +364,30 @@ def test_an_instrument_s_angle_error_moves_what_it_sees_as_a_turn_of_its_circles
         assert np.allclose(column.value(c), (seen - rays) / little, atol=1e-5 * distance.max())
 
 
+@pytest.mark.parametrize("target", [-1, 1])
+def test_a_cube_corner_that_reads_too_far_aslant_is_some_mixture_of_what_is_tried(
+    space: Workspace, target: int
+) -> None:
+    """Too far with the squared sine of the angle to an axis of its own in the end effector."""
+    c = space.context
+    rays = c.points - c.measuring_in_base[:3, 3]
+    beam = rays / np.linalg.norm(rays, axis=2)[..., None]
+    axis = c.tips[:, :3, :3] @ np.array([0.36, 0.48, 0.8])
+    too_far = 1.0 - np.einsum("ntj,nj->nt", beam, axis) ** 2
+    too_far[:, [t for t in range(too_far.shape[1]) if target >= 0 and t != target]] = 0.0
+    error = (too_far[..., None] * beam).reshape(len(c.points), -1).ravel()
+    by_incidence = [k for k in nameless(c) if k.covariate == "incidence"]
+    assert len(by_incidence) == 1 + len(space.recording.target_names)
+    tried = by_incidence[target + 1]
+    columns = np.column_stack([k.evaluate(c).ravel() for k in tried.columns])
+    left = error - columns @ np.linalg.lstsq(columns, error, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(error).max()
+    which = "the reflectors" if target < 0 else f"reflector {space.recording.target_names[target]}"
+    (one, how), (other, _) = stand_ins(c, tried)
+    assert how == f"for how aslant the beam falls into {which}"
+    assert {one, other} < {f"q_{name}" for name in space.machine.joint_names}
+
+
 def test_a_beam_bent_by_warm_air_is_some_mixture_of_what_is_tried_wherever_the_instrument_stands(
     space: Workspace,
 ) -> None:
@@ -513,6 +537,8 @@ def test_a_cable_chain_weighs_as_a_body_where_its_joint_has_it_all_and_as_one_ta
     assert np.abs(body[most]).max() > 0.1 * size
     assert np.allclose(chain[most], body[most], atol=0.05 * size)
     assert np.allclose(chain[least], -body[least], atol=0.05 * size)
+    hose = Column("frames", "body_weight", {"joint": k, "what": "mass", "grows": 1, "by": 0}).value(c)
+    assert np.allclose(hose, body * c.u(0)[:, None, None])  # that another joint moves
 
 
 def test_an_effect_has_a_size_where_all_scatter_was_put_down_to_the_instrument(space: Workspace) -> None:
