@@ -28,6 +28,7 @@ LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
 KNOCKS = 150  # moments between which a reflector may be moved more than once
+MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 # What may be left out of a diagnosis: every effect of the contract's table but outliers, which are no bias.
 NAMES = (
@@ -540,6 +541,21 @@ def _sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
         jump = Column("frames", "sensor_error", {"component": comp, "time": "step", "tau": moment})
         where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
         yield Candidate(*where, (jump,), {"time_h": moment}, 1.0 / len(moments))
+    load = c.recording.load
+    changes = [float(c.hours[k]) for k in range(1, len(load)) if load[k] != load[k - 1]]
+    if not 2 <= len(changes) <= MOST_TARES:
+        return
+    tared = [
+        (
+            Column("frames", "sensor_error", {"component": comp}),
+            *(Column("frames", "sensor_error", {"component": comp, "time": "step", "tau": t}) for t in changes),
+        )
+        for comp in range(6)
+    ]  # tared before it began and whenever the load was changed, and each time not quite
+    for comp, columns in enumerate(tared):
+        yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[comp], columns, {}, 0.5)
+    if alive := _alive(c, tuple(itertools.chain.from_iterable(tared))):
+        yield Candidate("wrench_error", None, None, None, "since_load_change", alive, {}, 0.5)
 
 
 def temperature_places(c: Context) -> list[str]:

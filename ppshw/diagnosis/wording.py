@@ -169,7 +169,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
         units = [_per_load(unit, candidate.covariate)] * len(values)
     elif candidate.effect == "wrench_error":
-        names = [_misread_name(column.args) for column in candidate.columns]
+        names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
         units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap", "half_difference"][: len(values)]
@@ -191,8 +191,9 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     return out
 
 
-def _misread_name(args: Mapping[str, Any]) -> str:
-    """Which channel is off, and with what it goes: its own reading or another's, time, or a temperature."""
+def _misread_name(args: Mapping[str, Any], again: bool) -> str:
+    """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
+    temperature."""
     of, source = args["component"], args.get("source", -1)
     if of < 0:
         return "gain"
@@ -202,7 +203,7 @@ def _misread_name(args: Mapping[str, Any]) -> str:
     if args.get("time") == "cosine":
         return f"{name}_zero_wave_{args['tau']:g}"
     if args.get("time") == "step":
-        return f"{name}_zero_step"
+        return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
     kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
     return name + (kelvin or "_zero" * (source < 0) + "_per_hour" * (args.get("time") == "linear"))
 

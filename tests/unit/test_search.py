@@ -560,3 +560,19 @@ def test_a_coupling_by_waves_keeps_its_name_beside_any_function_of_the_two(space
     args = {"joint": a, "period": period, "phase": "sin", "by": b}
     found, _ = _search(_with(space, Column("frame", "wave_q", args, a + 1, 1), 3.0), ["cross_coupling"])
     assert [f.name[0] for f in found] == ["cross_coupling"]
+
+
+def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_the_sensor(space: Workspace) -> None:
+    c, load = space.context, np.array(space.recording.load)
+    block = np.concatenate([[0], np.cumsum(load[1:] != load[:-1])])
+    zeros = np.random.default_rng(5).normal(size=block.max() + 1)[block]
+    by_one = Column("frames", "sensor_error", {"component": 4}).evaluate(c)
+    moved = zeros[:, None] * by_one
+    moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = _search(there, ["wrench_error", "drift", "creep", "thermal_growth"])
+    assert [f.name for f in found] == [("wrench_error", None)]
+    best = _best(tried, found[0])
+    assert (best.covariate, len(best.columns)) == ("My", 1 + block.max())
+    said = finding(there, tried, found[0])["parameters"]
+    assert sum(name.startswith("My_zero_step_after_") for name in said) == block.max()
