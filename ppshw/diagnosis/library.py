@@ -168,7 +168,7 @@ def _friction(c: Context) -> Iterator[Candidate]:
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
                 for by in (-1, own_component(c, k)):
                     more = replace(lag, args={**lag.args, "pressed": by})
-                    yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.3 * share)
+                    yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
 
 
 def _went_past(c: Context, k: int, lag: Column) -> Iterator[tuple[Column, dict[str, float], float]]:
@@ -179,7 +179,7 @@ def _went_past(c: Context, k: int, lag: Column) -> Iterator[tuple[Column, dict[s
     far = float(np.ptp(q))
     if np.mean(np.diff(q) * side[1:] < -STANDSTILL * far) >= SOME_CAME_BACK:
         for part in WENT_PAST:
-            yield replace(lag, args={**lag.args, "past": part * far}), {"past": part * far}, 0.5
+            yield replace(lag, args={**lag.args, "past": part * far}), {"past": part * far}, 0.2
 
 
 def _came_from_both_sides(c: Context, k: int) -> bool:
