@@ -225,6 +225,15 @@ def test_a_shifted_zero_is_taken_as_it_was_left() -> None:
     assert "whether it was homed since cannot be known" in found.effects[0].why
 
 
+@pytest.mark.parametrize(("times", "left"), [([0.5, 2.0, 3.0], 2e-4), ([0.5, 2.0], 0.0)])
+def test_a_zero_that_hops_is_taken_as_it_was_left_and_nobody_knows_where_it_is(times: list[float], left: float) -> None:
+    column = Column("frame", "hopping", {"times": times}, VERTICAL + 1, TY)
+    compensator = knowing("zero_shift", "vertical", column, 2e-4)
+    found = asked(compensator, around=Around(1.7e9))
+    assert np.linalg.norm(miss(found.corrected, left)) < 5e-5
+    assert "it hops, and where it is now cannot be known" in found.effects[0].why
+
+
 # --- the command ------------------------------------------------------------------------------------------------------
 def test_the_command_takes_the_start_and_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lost_motion().calibration.save(tmp_path / "cal.json")
