@@ -153,7 +153,11 @@ def _wrench(c: Context, k: Candidate) -> list[Column]:
         ]  # fmt: skip
     if "place" not in args:
         return []
-    others = [Column("frames", "sensor_error", {**args, "component": comp}) for comp in range(6)]
+    of_gain = args["component"] < 0 or "source" in args
+    others = [
+        Column("frames", "sensor_error", {**args, "component": comp, **({"source": comp} if of_gain else {})})
+        for comp in range(6)
+    ]
     return [*others, *(Column("frames", "sensor_error", {**args, "tau": tau}) for tau in LAGS_H)]
 
 

@@ -22,10 +22,13 @@ SMOOTH = frozenset({"covariate", "load_legendre"})
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
 
 
-def of_its_kind(named: Candidate, rival: Candidate, parallel: Collection[str] = ()) -> bool:
+def of_its_kind(
+    named: Candidate, rival: Candidate, parallel: Collection[str] = (), inside: tuple[str, ...] = ()
+) -> bool:
     """Whether a rival without a name would bear the name's, by what the name means (contract, §4).
 
     parallel  frames that never turn against the base: a shift of one of them is the base's and each other's
+    inside    how columns end that are temperatures within the machine, which move no base: there a slow clock
     """
     here = (named.frame, named.component) == (rival.frame, rival.component)
     over = set(rival.covariates) or {rival.covariate}
@@ -33,7 +36,7 @@ def of_its_kind(named: Candidate, rival: Candidate, parallel: Collection[str] = 
         case "cross_coupling":
             return over == set(named.covariates)
         case "drift":
-            return over == {"time"} and rival.frame == "base"
+            return rival.frame == "base" and all(name == "time" or name.endswith(inside) for name in over)
         case "zero_shift":
             return here and all(column.function == "step" for column in rival.columns)
         case "thermal_growth":

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
 from ppshw.terms.history import STANDSTILL
 from ppshw.terms.shapes import Column, Context, load_of
@@ -50,6 +50,8 @@ SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from 
 TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
 # Shares of the visits whose load is below that at which stiffness changes.
 KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
+OPENS_AT = (0.3, 0.5, 0.7, 1.0, 1.4)  # relative to a load's spread: beyond it, either way, a link is softer
+USED_UP = (0.1, 0.3)  # relative to a load's spread: widths of clearances, too
 ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
@@ -74,7 +76,8 @@ class Jumps:
 @dataclass
 class Candidate:
     """effect: the contract's name, or "nameless"; joint, frame, component, covariate: where it sits;
-    columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name."""
+    columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name;
+    way: the sign that physics gives its first coefficient, 0 where it gives none."""
 
     effect: str
     joint: str | None
@@ -85,6 +88,7 @@ class Candidate:
     shape: dict[str, float] = field(default_factory=dict)
     share: float = 1.0
     covariates: tuple[str, ...] = ()
+    way: int = 0
 
 
 @contextmanager
@@ -346,6 +350,12 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
+            if _changes_side(c.wrenches[:, frame, b]):
+                for column, shape, way in _opened(c, frame, b):
+                    yield Candidate(
+                        "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, 0.5,
+                        way=way,
+                    )  # fmt: skip
             for knees, width in _knees(c, frame, b):
                 columns = tuple(
                     Column("frame", "load_knee", {**where, "at": at, "width": width}, frame, b) for at in knees
@@ -354,6 +364,18 @@ def _nonlinear(c: Context) -> Iterator[Candidate]:
                 yield Candidate(
                     "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], columns, shape, 0.2
                 )
+
+
+def _opened(c: Context, frame: int, b: int) -> Iterator[tuple[Column, dict[str, float], int]]:
+    """A preload is lost beyond some load to either side, from where on a link is softer: sharply, or little by little,
+    as a clearance is used up, but against the load. Columns, their shapes and signs."""
+    where, std = {"frame": frame, "component": b}, float(c.wrenches[:, frame, b].std())
+    for at in OPENS_AT:
+        shape = {"at": at * std, "width": 0.1 * std}
+        yield Column("frame", "load_beyond", {**where, **shape}, frame, b), {"knee_load": at * std}, 1
+    for width in USED_UP:
+        side = {"width": width}
+        yield Column("frame", "load_side", {**where, **side}, frame, b), _of_load(c, frame, b, side), -1
 
 
 def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float, ...], float]]:
@@ -392,14 +414,14 @@ def _clearance(c: Context) -> Iterator[Candidate]:
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
-                        share if comp == b else 0.1 * share,
+                        share if comp == b else 0.1 * share, way=int(comp == b),  # with the load, never against it
                     )  # fmt: skip
             uneven = (0.02, 0.08, 0.17, 0.35) if _changes_side(c.wrenches[:, frame, b]) else ()
             for wide in uneven:  # the gap is wider on one side than on the other
                 args = {"frame": frame, "component": b, "width": wide}
                 sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
                 at = COMPONENTS[b], WRENCH_COMPONENTS[b]
-                yield Candidate("clearance", name, name, *at, sides, _of_load(c, frame, b, args), 0.3)
+                yield Candidate("clearance", name, name, *at, sides, _of_load(c, frame, b, args), 0.3, way=1)
 
 
 def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
@@ -529,6 +551,11 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             )
             where = ("wrench_error", None, None, None, f"temp_{place}_C")
             yield Candidate(*where, every, {"lag_h": tau}, 0.5)
+            by_heat = Column("frames", "sensor_error", {"component": -1, "place": place, "tau": tau})
+            yield Candidate(*where, (by_heat,), {"lag_h": tau}, 0.5)
+            for comp in range(6):
+                own = Column("frames", "sensor_error", {"component": comp, "source": comp, "place": place, "tau": tau})
+                yield Candidate(*where, (own,), {"lag_h": tau}, 0.1)
             for column in every:
                 yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
 
@@ -561,6 +588,11 @@ def _sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
 def temperature_places(c: Context) -> list[str]:
     """Temperatures without gaps that change at all."""
     return [p for p, t in c.recording.temperatures.items() if np.isfinite(t).all() and np.ptp(t) >= 1e-3]
+
+
+def within(machine: Machine) -> tuple[str, ...]:
+    """How columns of temperatures end that are of joints beyond the first: what warms there does not move the base."""
+    return tuple(f"temp_{name}_C" for name in machine.joint_names[1:])
 
 
 def _creep(c: Context) -> Iterator[Candidate]:

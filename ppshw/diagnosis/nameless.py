@@ -25,6 +25,7 @@ from ppshw.diagnosis.library import (
     moving_joints,
     own_component,
     temperature_places,
+    within,
 )
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
@@ -40,21 +41,26 @@ SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something 
 ABOUT_ZERO = 9  # bumps over what is finest about zero
 OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
 IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
+AROUND = ((1, 2), (1, 6), (7, 13), (13, 25), (25, 49))  # waves to a turn of the instrument's circles
+FROM_WITHIN = 0.05  # share of a temperature of an inner joint by which the base is said to move
+LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
 KNOTS = 5  # bumps over the ranks of a column
 
 
 @all_kept()
 def nameless(c: Context) -> list[Candidate]:
-    """All rivals without a name for a recording: kinds share alike, and candidates in a kind; shares add up to one."""
+    """All rivals without a name for a recording: kinds share alike, and candidates in a kind as they say; shares add up
+    to one."""
     makers = (
-        _of_one_column, _along_a_joint, _base_in_all_directions, _at_a_moment, _rhythms, _reversals, _under_load,
-        _of_what_was_read, _pulls, _own_heat, _with_another_position, _of_two_columns, _finely, _of_two_positions,
-        _of_three_positions, _at_the_reflectors,
+        _of_one_column, _along_a_joint, _base_in_all_directions, _at_a_moment, _rhythms, _seats, _reversals,
+        _under_load, _of_what_was_read, _pulls, _own_heat, _with_another_position, _of_two_columns, _finely,
+        _of_two_positions, _of_three_positions, _at_the_reflectors,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
     for kind in kinds:
+        whole = sum(k.share for k in kind)
         for k in kind:
-            k.share = 1.0 / len(kinds) / len(kind)
+            k.share /= len(kinds) * whole
     return [k for kind in kinds for k in kind]
 
 
@@ -139,12 +145,14 @@ def _along_a_joint(c: Context) -> Iterator[Candidate]:
 
 
 def _base_in_all_directions(c: Context) -> Iterator[Candidate]:
-    """The base shifts with one column, each direction by a function of its own: nobody knows its axes."""
+    """The base shifts with one column, each direction by a function of its own: nobody knows its axes. What warms
+    within the machine is unlikely to move what it stands on."""
     slow = ("time", *_nobody_knows(c), *(s for s in [*_columns(c), *_late(c)] if "temp_" in s))
     for name in slow:
         args = {"name": name, "count": 3}
         shifts = [Column("frame", "covariate", {**args, "knot": j}, 0, comp) for j in range(3) for comp in range(3)]
-        yield _nameless(c, 0, None, (name,), shifts)
+        share = FROM_WITHIN if name.endswith(within(c.machine)) else 1.0
+        yield replace(_nameless(c, 0, None, (name,), shifts), share=share)
 
 
 def _over_time(c: Context) -> list[tuple[int, int, tuple[str, ...]]]:
@@ -171,6 +179,19 @@ def _rhythms(c: Context) -> Iterator[Candidate]:
         for frame, comp, most in places:
             waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, most + 1)]
             yield _nameless(c, frame, comp, (f"q_{name}", "time"), waves)
+
+
+def _seats(c: Context) -> Iterator[Candidate]:
+    """A joint comes to rest a little otherwise whenever it moves, and stays so while only others move: a brake or a
+    clamp that seats at random."""
+    for k, name in moving_joints(c):
+        stays, visits = np.unique(named_column(c, f"stay_{name}"), return_counts=True)
+        seats = stays[visits > 1]
+        if not LEAST_SEATS <= len(seats) <= MOST_SEATS:
+            continue
+        for comp in range(6):
+            at_random = [Column("frame", "seated", {"joint": k, "stay": int(s)}, k + 1, comp) for s in seats]
+            yield _nameless(c, k + 1, comp, (f"stay_{name}",), at_random)
 
 
 def _reversals(c: Context) -> Iterator[Candidate]:
@@ -419,8 +440,9 @@ def _of_three_positions(c: Context) -> Iterator[Candidate]:
 
 
 def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders; what carries them all swells with a column; distances are off the more aslant the
-    beam falls in; the space around the instrument is stretched, for good or with a temperature."""
+    """A single reflector wanders; what carries them all swells or bends with a column, a load, a position; distances
+    are off the more aslant the beam falls in, directions by waves over the instrument's own angles; the space around it
+    is stretched, for good or with a temperature."""
     if c.points.shape[1] > 1:
         for t, name in enumerate(c.recording.target_names):
             moves = tuple(
@@ -429,11 +451,18 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
             )
             yield Candidate("nameless", None, None, None, name, moves)
         targets, axes = range(c.points.shape[1]), range(3)
-        for name in [*_nobody_knows(c), *(f"temp_{place}_C" for place in temperature_places(c)), *_late(c)]:
+        changes = [*_nobody_knows(c), *(f"temp_{place}_C" for place in temperature_places(c)), *_late(c)]
+        ways: list[tuple[str, dict[str, object]]] = [
+            (name, {"name": name}) for name in (*changes, *(f"q_{joint}" for _, joint in moving_joints(c)))
+        ]
+        if c.recording.has_wrench:
+            read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
+            ways += [(WRENCH_COMPONENTS[k], {"load": k}) for k in read]
+        for name, by in ways:
             swells = [
-                Column("points", "target_shift", {"target": t, "axis": a, "name": name})
+                Column("points", "target_shift", {"target": t, "axis": a, **by})
                 for t, a in itertools.product(targets, axes)
-            ]  # fmt: skip
+            ]
             yield _nameless(c, None, None, (name,), swells)
     products = [(a, -1) for a in range(3)] + list(itertools.combinations_with_replacement(range(3), 2))
     for target in range(-1, c.points.shape[1] if c.points.shape[1] > 1 else 0):
@@ -442,10 +471,10 @@ def _at_the_reflectors(c: Context) -> Iterator[Candidate]:
         )
         yield Candidate("nameless", None, None, None, "incidence", aslant)
     for angle in ("azimuth", "elevation"):
-        for most in (2, 6):
+        for least, most in AROUND:
             off = tuple(
                 Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})
-                for order in range(1, most + 1) for phase in ("sin", "cos")
+                for order in range(least, most + 1) for phase in ("sin", "cos")
             )  # fmt: skip
             yield Candidate("nameless", None, None, None, angle, off)
     warm = temperature_places(c)

@@ -81,6 +81,8 @@ def column_of(covariate: str) -> tuple[str, str]:
         return f"q_{covariate.removeprefix('move_')}", "length and direction of the last move"
     if covariate.startswith("way_"):
         return f"q_{covariate.removeprefix('way_')}", "way since it turned back"
+    if covariate.startswith("stay_"):
+        return f"q_{covariate.removeprefix('stay_')}", "anew with every move"
     if covariate.startswith("pace_"):
         return f"q_{covariate.removeprefix('pace_')}", "how much it was moved"
     if covariate.startswith("late_"):
@@ -195,8 +197,9 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
     """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
     temperature."""
     of, source = args["component"], args.get("source", -1)
+    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
     if of < 0:
-        return "gain"
+        return f"gain{kelvin}"
     name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
     if args.get("bent"):
         return f"{name}_{args['bent']}"
@@ -204,7 +207,6 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
         return f"{name}_zero_wave_{args['tau']:g}"
     if args.get("time") == "step":
         return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
-    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
     return name + (kelvin or "_zero" * (source < 0) + "_per_hour" * (args.get("time") == "linear"))
 
 
@@ -212,6 +214,8 @@ def _misread(args: Mapping[str, Any]) -> str:
     """Unit of what a force sensor reads too little: a load, per hour or kelvin; a share of a reading, per load where it
     grows with it."""
     of, source = args["component"], args.get("source", -1)
+    if "place" in args and (of < 0 or source == of):
+        return "1/K"
     if of < 0:
         return "1"
     unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])

@@ -23,6 +23,7 @@ from ppshw.terms import Situation
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.gaussian_process import Region
 from ppshw.terms.history import (
+    STANDSTILL,
     followed,
     former,
     hours_since,
@@ -286,6 +287,11 @@ def hopping(c: Context, times: Sequence[float]) -> Array:
     return np.asarray((np.searchsorted(times, c.hours, side="right") % 2).astype(float))
 
 
+def seated(c: Context, joint: int, stay: int) -> Array:
+    """1 while a joint stays where its `stay`-th move took it, see the column stay_<joint>."""
+    return np.asarray((named_column(c, f"stay_{c.machine.joint_names[joint]}") == stay).astype(float))
+
+
 def settling(c: Context, visit_time: float, tau: float) -> Array:
     """e^(−(t − t₀)/τ) from a moment t₀ on: what a step loses again."""
     late = c.hours - visit_time
@@ -337,6 +343,14 @@ def load_knee(c: Context, frame: int, component: int, at: float, width: float) -
     on one side of a load than on the other."""
     above = c.wrenches[:, frame, component] - at
     return np.asarray(0.5 * (above + np.hypot(above, width)))
+
+
+def load_beyond(c: Context, frame: int, component: int, at: float, width: float) -> Array:
+    """How far a component of the wrench on a frame is beyond `at` to either side, rounded over `width` (both N or N m):
+    what is softer once a preload is lost."""
+    w = c.wrenches[:, frame, component]
+    above, below = w - at, -w - at
+    return np.asarray(0.5 * (above + np.hypot(above, width)) - 0.5 * (below + np.hypot(below, width)))
 
 
 def load_side(
@@ -465,10 +479,11 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
-    turned back), pace_<joint> (way a joint went since the visit before, per hour), reach (from the base to the last
-    frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), incidence
-    (of the beam along that axis of the end effector where it changes most), pause
-    (since the visit before, h), load and former_load (mass of this payload and of the one before, kg),
+    turned back), stay_<joint> (how often it has moved until then), pace_<joint> (way a joint went since the visit
+    before, per hour), reach (from the base to the last frame), azimuth, elevation and distance (of the reflectors from
+    the instrument, the first from its mean), incidence (of the beam along that axis of the end effector where it
+    changes most), pause (since the visit before, h), load and former_load (mass of this payload and of the one before,
+    kg),
     previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
@@ -482,6 +497,9 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("move_"):
         q = r.q[:, joints.index(name[5:])]
         return np.concatenate([[0.0], np.diff(q)])
+    if name.startswith("stay_"):
+        q = r.q[:, joints.index(name[5:])]
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)) > STANDSTILL * float(np.ptp(q)))])
     if name.startswith("pace_"):
         gone = np.abs(np.diff(r.q[:, joints.index(name[5:])]))
         return np.concatenate([[0.0], gone / np.maximum(np.diff(c.hours), LEAST_H)])
@@ -627,7 +645,7 @@ def sensor_error(
     """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time (form
     and tau of `clock`), or with a temperature (lagged by tau hours).
 
-    component  −1: all six, each by its own reading (gain)
+    component  −1: all six, each by its own reading (gain), in proportion to time or a temperature where one is given
     bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load
     """
     count = len(c.recording)
@@ -640,7 +658,7 @@ def sensor_error(
         size = size * temperature(c, place, tau)
     wrench = np.zeros((count, 6))
     if component < 0:
-        wrench = c.recording.wrench
+        wrench = size[:, None] * c.recording.wrench
     else:
         wrench[:, component] = size
     return -_expected(c, wrench)
@@ -801,16 +819,21 @@ def refraction(c: Context, place: str, part: int) -> Array:
 
 
 def target_shift(
-    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = ""
-) -> Array:
+    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = "",
+    load: int = -1,
+) -> Array:  # fmt: skip
     """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
-    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; or with a column."""
+    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column; or in
+    proportion to a component of the sensor's wrench (by the greatest that this read)."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
     if order:
         out = out * clock(c, "cosine", order)[:, None, None]
     if name:
         out = out * covariate(c, name)[:, None, None]
+    if load >= 0:
+        read = c.recording.wrench[:, load]
+        out = out * (read / c.frozen(f"most.read.{load}", float(np.abs(read).max())))[:, None, None]
     if since >= 0:
         out = out * step(c, since)[:, None, None]
     if slow:
@@ -822,9 +845,9 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         approach, approach_q, reversal, turning, slipping, winding, temperature, temperature_q, link_growth, clock,
-        clock_q, step, hopping, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee, load_side,
-        load_side_held, load_bump, load_slip, load_warm, load_legendre, creeping, own_weight, hanging,
-        pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale, strain,
-        angle_error, range_error, refraction, target_shift, unexplained, instead, model_shift,
+        clock_q, step, hopping, seated, settling, wave, wave_q, load, load_q, load_turn, load_power, load_knee,
+        load_beyond, load_side, load_side_held, load_bump, load_slip, load_warm, load_legendre, creeping, own_weight,
+        hanging, pair, product, covariate, covariate_pair, creep, body_weight, sensor_error, sensor_off, pulled, scale,
+        strain, angle_error, range_error, refraction, target_shift, unexplained, instead, model_shift,
     )
 }  # fmt: skip

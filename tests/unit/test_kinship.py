@@ -65,6 +65,16 @@ def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> No
     assert not of_its_kind(turning, _rival("base", "tx", "late_2_temp_air_C"), rails)
 
 
+def test_a_base_that_goes_with_what_warms_within_the_machine_drifts() -> None:
+    named = _named("drift", None, "base", None, "time")
+    inside = ("temp_pitch_C",)
+    for name in ("temp_pitch_C", "late_1_temp_pitch_C"):
+        assert of_its_kind(named, _rival("base", None, name), (), inside)
+        assert not of_its_kind(named, _rival("base", None, name))
+        assert not of_its_kind(named, _rival("pitch", None, name), (), inside)
+    assert not of_its_kind(named, _rival("base", None, "late_1_temp_air_C"), (), inside)
+
+
 def test_a_gap_that_goes_with_something_or_tilts_is_a_gap_if_most_of_it_is_always_there() -> None:
     named = _named("backlash", "yaw", "yaw", "ry", "approach_yaw")
     changing = _rival("yaw", "ry", "approach_yaw", "temp_air_C", function="approach")

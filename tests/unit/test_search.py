@@ -576,3 +576,95 @@ def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_t
     assert (best.covariate, len(best.columns)) == ("My", 1 + block.max())
     said = finding(there, tried, found[0])["parameters"]
     assert sum(name.startswith("My_zero_step_after_") for name in said) == block.max()
+
+
+def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_how_much_a_kelvin(
+    space: Workspace,
+) -> None:
+    c = space.context
+    air = c.recording.temperatures["air"]
+    read = replace(c, recording=replace(c.recording, wrench=c.recording.wrench * (air - air.mean())[:, None]))
+    moved = Column("frames", "sensor_error", {"component": -1}).evaluate(read)
+    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = _search(there, ["wrench_error", "tracker_scale", "drift", "creep"])
+    assert [f.name for f in found] == [("wrench_error", None)]
+    assert _best(tried, found[0]).covariate == "temp_air_C"
+    said = finding(there, tried, found[0])["parameters"]
+    assert said["gain_per_kelvin_air_0_h"]["unit"] == "1/K"
+
+
+def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_clearance(space: Workspace) -> None:
+    """Nothing falls against its load: a link that is softer once a preload is lost does, beside a proportional one."""
+    frame, component = space.machine.joint_names.index("longitudinal") + 1, 5
+    load = space.context.wrenches[:, frame, component]
+    used_up = np.clip(load / (0.3 * load.std()), -1.0, 1.0)
+    moved = space.context.jacobian[:, :, frame, component] * used_up[:, None]
+    moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    for way, name in ((1.0, "clearance"), (-1.0, "nonlinear_stiffness")):
+        found, _ = _search(replace(space, data=space.data + way * moved), ["nonlinear_stiffness", "clearance"])
+        assert [f.name[0] for f in found] == [name]
+
+
+def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(space: Workspace) -> None:
+    some = _named(space, "thermal_growth", "zero_shift")
+    tried = Tried(space, some, 5e-5)
+    warm = next(j for j, k in enumerate(some) if k.effect == "thermal_growth" and k.joint == "roll")
+    jump = next(j for j, k in enumerate(some) if k.effect == "zero_shift" and k.joint == "yaw")
+    found = Found(warm, ("thermal_growth", "roll"), 0.0, 4000.0, first=4000.0)
+    assert _caster(tried, jump, 30.0, [found]) is found
+    assert _caster(tried, jump, 50.0, [found]) is None
+
+
+def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Workspace) -> None:
+    some = _named(space, "drift", "nameless")
+    tried = Tried(space, some, 5e-5)
+    drift = next(j for j, k in enumerate(some) if k.effect == "drift")
+    warm = {k.frame: j for j, k in enumerate(some) if k.covariates == ("late_1_temp_air_C",)}
+    found = Found(drift, ("drift", None), 0.0, 400.0, first=400.0)
+    assert _caster(tried, warm["base"], 30.0, [found]) is found
+    assert _caster(tried, warm["base"], 50.0, [found]) is None
+    assert _caster(tried, warm[space.machine.joint_names[-1]], 30.0, [found]) is None
+
+
+@pytest.mark.parametrize("load", ["Fz", "Mx"])
+def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load(space: Workspace, load: str) -> None:
+    """Each reflector moves its own way, in proportion to what the sensor read."""
+    c = space.context
+    read = c.recording.wrench[:, ["Fx", "Fy", "Fz", "Mx", "My", "Mz"].index(load)]
+    ways = np.random.default_rng(3).normal(size=(c.points.shape[1], 3))
+    moved = np.einsum("nij,tj,n->nti", c.tips[:, :3, :3], ways, read).reshape(len(read), -1)
+    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
+    assert [f.name[0] for f in found] == ["nameless"]
+    assert _best(tried, found[0]).covariates == (load,)
+
+
+def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_its_angle(space: Workspace) -> None:
+    rays = space.context.points - space.context.measuring_in_base[:3, 3]
+    around = np.arctan2(rays[..., 0], rays[..., 2])  # of the positioner's base the second axis is plumb
+    level = np.stack([rays[..., 2], 0 * around, -rays[..., 0]], axis=-1)
+    moved = (np.sin(31.5 * around + 0.4)[..., None] * level).reshape(len(rays), -1)
+    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    some = _named(space, "nameless", "drift", "tracker_scale")
+    there = replace(space, data=space.data + moved)
+    tried = Tried(there, some, 5e-5)
+    found = search(there, tried, np.random.default_rng(0))
+    assert [f.name[0] for f in found] == ["nameless"]
+    assert _best(tried, found[0]).covariate == "azimuth"
+
+
+def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace) -> None:
+    """Whenever the joint moved it stands a little aslant, until it moves again."""
+    k = space.machine.joint_names.index("pitch")
+    q, rng = space.recording.q[:, k], np.random.default_rng(2)
+    seats = np.zeros(len(q))
+    for v in range(len(q)):
+        seats[v] = seats[v - 1] if v and abs(q[v] - q[v - 1]) < 1e-6 else rng.choice([-1.0, 1.0])
+    moved = space.context.jacobian[:, :, k + 1, 4] * seats[:, None]
+    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    some = [j for j in _named(space, "nameless") if any(name.startswith("stay_") for name in j.covariates)]
+    assert {name for j in some for name in j.covariates} >= {"stay_pitch", "stay_roll", "stay_lateral"}
+    tried = Tried(replace(space, data=space.data + moved), some, 5e-5)
+    best = some[int(np.argmax(tried.evidence(tried.scores()[None])[0]))]
+    assert (best.covariates, best.frame, best.component) == (("stay_pitch",), "pitch", "ry")
