@@ -485,10 +485,17 @@ def _moving_weight(c: Context) -> Iterator[Candidate]:
             if alive := _alive(c, some):
                 yield Candidate("moving_weight", name, name, None, f"q_{name}", alive, share=0.3)
         for other, by in moving_joints(c):  # a hose that another joint pulls along
-            for what in ("mass", *"xyz") if other != k else ():
-                hose = Column("frames", "body_weight", {"joint": k, "what": what, "grows": 1, "by": other})
-                if np.any(hose.value(c)):
-                    yield Candidate("moving_weight", name, name, None, f"q_{by}", (hose,), share=0.03)
+            if other == k:
+                continue
+            hose = tuple(
+                Column("frames", "body_weight", {"joint": k, "what": what, "grows": 1, "by": other})
+                for what in ("mass", *"xyz")
+            )
+            if all(not np.any(column.value(c)) for column in hose):
+                continue
+            for some in ((column,) for column in hose if np.any(column.value(c))):
+                yield Candidate("moving_weight", name, name, None, f"q_{by}", some, share=0.03)
+            yield Candidate("moving_weight", name, name, None, f"q_{by}", _alive(c, hose), share=0.05)
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
             column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
