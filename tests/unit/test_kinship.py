@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ppshw.diagnosis.kinship import AKIN, ALWAYS, counts, of_its_kind
+from ppshw.diagnosis.kinship import AKIN, ALWAYS, WOUND_UP, counts, of_its_kind
 from ppshw.diagnosis.library import Candidate
 from ppshw.terms.shapes import Column
 
@@ -101,6 +101,17 @@ def test_neighbours_that_are_each_other_s_rivals_have_no_kin(effect: str) -> Non
         assert not of_its_kind(named, rival)
         assert counts(named, rival) == 1.0
     assert not of_its_kind(named, _rival("yaw", "rx", "approach_yaw", function="approach"))
+
+
+def test_any_function_of_the_way_since_its_joint_turned_back_may_say_a_little_more_than_friction() -> None:
+    named = _named("friction_hysteresis", "yaw", "yaw", "ry", "move_yaw")
+    assert counts(named, _rival("yaw", "ry", "approach_yaw", "way_yaw", function="turning")) == WOUND_UP < 1.0
+    for other in (
+        _rival("yaw", "ry", "approach_yaw", function="approach"),
+        _rival("yaw", "rx", "approach_yaw", "way_yaw", function="turning"),
+        _rival("yaw", "ry", "approach_roll", "way_roll", function="turning"),
+    ):
+        assert counts(named, other) == 1.0
 
 
 def test_a_smooth_function_of_its_own_load_is_stiffness_and_one_that_is_fine_at_zero_nearly() -> None:
