@@ -126,6 +126,8 @@ def _of_one_column(c: Context) -> Iterator[Candidate]:
         frames = range(c.machine.n + 1) if name in anywhere else (0, c.machine.n)
         for frame, comp in itertools.product(frames, range(6)):
             yield _nameless(c, frame, comp, (name,), _bumps(name, frame, comp))
+            if name in anywhere:  # where five bumps are many, in proportion
+                yield _nameless(c, frame, comp, (name,), (Column("frame", "covariate", {"name": name}, frame, comp),))
 
 
 def _along_a_joint(c: Context) -> Iterator[Candidate]:
