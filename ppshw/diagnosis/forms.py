@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.diagnosis.library import ANY_WAY, CREEP_H, LAGS_H, SOFT_WALLS, Candidate
+from ppshw.diagnosis.library import ANY_WAY, CREEP_H, LAGS_H, Candidate, winds_up
 from ppshw.terms.shapes import Column, Context
 
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.
@@ -35,8 +35,7 @@ def _class(c: Context, column: Column) -> str | None:
     """The effect whose own form a column is, if it is one's."""
     if column.function in ("slipping", "winding"):
         way = float(column.args["width" if column.function == "slipping" else "way"])
-        span = float(np.ptp(c.recording.q[:, int(column.args["joint"])]))
-        return "friction_hysteresis" if way > SOFT_WALLS.max() * span else "backlash"
+        return "friction_hysteresis" if winds_up(c, int(column.args["joint"]), way) else "backlash"
     if column.function == "load_side" and column.args["width"] > WIDEST_SIDE:
         return "nonlinear_stiffness"
     return OF_CLASS.get(column.function)
@@ -151,6 +150,9 @@ def _wrench(c: Context, k: Candidate) -> list[Column]:
             Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": order})
             for order in range(1, 9) for comp in range(6)
         ]  # fmt: skip
+    if args.get("source") == args["component"] and "place" not in args:
+        own = {"component": args["component"], "source": args["component"]}
+        return [Column("frames", "sensor_error", {**own, "bent": bent}) for bent in ("odd", "even", "sided")]
     if "place" not in args:
         return []
     of_gain = args["component"] < 0 or "source" in args

@@ -38,12 +38,14 @@ NAMES = (
 )  # fmt: skip
 # Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
-# Parts of a joint's travel over which it takes up what it lost: friction winds up over a fiftieth of it or more (every
-# author's friction of whom we know does), play between soft walls over less.
+# Parts of a joint's travel over which it takes up what it lost: friction winds up over a fiftieth of it or more (most
+# authors' does), play between soft walls over less. But walls give way by some gaps: where a hundredth of the travel is
+# more than SOFTEST times what a joint can have lost, that much winds up (a ninth author's friction of 0.6 to 5 %).
 WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
 SOFT_WALLS = np.array([0.002, 0.005, 0.01])
+SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file has none [m]; share of winding up so fast
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
@@ -154,7 +156,8 @@ def _backlash(c: Context) -> Iterator[Candidate]:
         own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
         where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for width, column in _taken_up(c, k, SOFT_WALLS):
-            yield Candidate(*where, (column,), {"width": width}, 0.05)
+            if not winds_up(c, k, width):
+                yield Candidate(*where, (column,), {"width": width}, 0.05)
         sign = Column("frame", "approach", {"joint": k}, k + 1, own)
         drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
@@ -167,12 +170,26 @@ def _friction(c: Context) -> Iterator[Candidate]:
         where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
         # where nobody knows from which side a joint came, lost motion of any kind is friction
         parts = WINDS_UP if _came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
+        if _came_from_both_sides(c, k):
+            for width, column in _taken_up(c, k, SOFT_WALLS):
+                if winds_up(c, k, width):
+                    yield Candidate(*where, (column,), {"width": width}, BRIEFLY)
         for width, column in _taken_up(c, k, parts):
             for lag, shape, share in _went_past(c, k, column):
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
                 for by in (-1, own_component(c, k)):
                     more = replace(lag, args={**lag.args, "pressed": by})
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
+
+
+def winds_up(c: Context, k: int, way: float) -> bool:
+    """Whether what a joint lost and takes up over such a way is friction that winds it up: longer than soft walls are
+    for any play that the recording may show (three repeatabilities at the reflectors)."""
+    travel = float(np.ptp(c.recording.q[:, k]))
+    moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
+    lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
+    lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)
+    return way > float(np.clip(SOFTEST * lost, SOFT_WALLS[0] * travel, SOFT_WALLS[-1] * travel)) * (1 + 1e-9)
 
 
 def _went_past(c: Context, k: int, lag: Column) -> Iterator[tuple[Column, dict[str, float], float]]:
@@ -531,9 +548,10 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j}) for j in range(1, 5)
         )
         yield Candidate("wrench_error", None, None, None, "time", waves, share=0.5)
-        for bent in ("odd", "even"):
+        for bent in ("odd", "even", "sided"):
             curve = Column("frames", "sensor_error", {"component": comp, "source": comp, "bent": bent})
             yield Candidate(*where, (curve,), share=0.5)
+        yield Candidate(*where, (matrix[comp, comp], curve), share=0.3)  # another gain for pull than for push
         for source in range(6):
             yield Candidate(*where, (matrix[comp, source],), share=1.0 if comp == source else 0.2)
     gain = Column("frames", "sensor_error", {"component": -1})

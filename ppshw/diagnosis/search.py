@@ -63,8 +63,9 @@ NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 # is what the finding's form got wrong, not another effect.
 # A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it. What has no
 # name has no near forms either and leaves twice as much.
-# What heat did while nobody measured, in a break, shows over time beside it, in the same joint or the next one.
-SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, OF_HEAT = 0.1, 0.2, 2.0, 0.1
+# What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
+# over hours shows as creep of a whole rail.
+SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1
 AT_ONCE = 0.02  # of the recording's duration: moments that are one
 # Names beside louder structure without one, in decks of three authors: 5 to 22 of log evidence were wrong in four
 # cases, 92 and 102 right.
@@ -330,11 +331,13 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         # what a base that wanders leaves may by chance go with a temperature
         wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
+        by_rail = other.effect == "drift" and candidate.frame in _never_turned(tried.space.machine)
+        slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
         if (same_joint or by_load or same_cause or riddle or wanders) and evidence < least:
             return f
-        if heat and evidence < OF_HEAT * least:
+        if slowly and evidence < ANYWHERE * least:
             return f
     return None
 

@@ -646,11 +646,14 @@ def sensor_error(
     and tau of `clock`), or with a temperature (lagged by tau hours).
 
     component  −1: all six, each by its own reading (gain), in proportion to time or a temperature where one is given
-    bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load
+    bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load; by its
+               size, "sided": it is another one for pull than for push
     """
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
-    if bent:
+    if bent == "sided":
+        size = np.abs(size)
+    elif bent:
         size = size * (np.abs(size) if bent == "odd" else size)
     if time:
         size = size * clock(c, time, tau or 1.0)

@@ -173,6 +173,21 @@ def test_what_is_taken_up_within_a_hundredth_of_the_travel_is_play_between_soft_
     assert {"gap", "width"} <= set(finding(there, tried, found[0])["parameters"])
 
 
+def test_what_is_taken_up_over_far_more_than_could_be_lost_is_no_play(space: Workspace) -> None:
+    """Walls of rubber give way by some gaps; a hundredth of a rail's travel is hundreds of them."""
+    k = space.machine.joint_names.index("longitudinal")
+    travel = float(np.ptp(space.recording.q[:, k]))
+    column = Column("frame", "winding", {"joint": k, "way": 0.01 * travel}, k + 1, own_component(space.context, k))
+    precise = replace(space.machine, repeatability=5e-6)
+    for machine, name in ((replace(precise, repeatability=1e-3), "backlash"), (precise, "friction_hysteresis")):
+        there = _with(replace(space, machine=machine, context=replace(space.context, machine=machine)), column, 3.0)
+        some = [c for c in library(there.context) if c.effect in ("backlash", "friction_hysteresis")]
+        tried = Tried(there, some + _named(space, "nameless")[:1], 5e-5)
+        found = search(there, tried, np.random.default_rng(0))
+        assert [f.name for f in found] == [(name, "longitudinal")]
+        assert _best(tried, found[0]).shape.get("width", 0.0) <= 0.0101 * travel
+
+
 @pytest.mark.parametrize(("unsure", "may_be"), [(0.0, False), (0.05, True)])
 def test_a_loss_that_is_not_sure_may_be_larger(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, unsure: float, may_be: bool
@@ -668,3 +683,30 @@ def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace)
     tried = Tried(replace(space, data=space.data + moved), some, 5e-5)
     best = some[int(np.argmax(tried.evidence(tried.scores()[None])[0]))]
     assert (best.covariates, best.frame, best.component) == (("stay_pitch",), "pitch", "ry")
+
+
+def test_creep_of_a_whole_rail_a_hundred_times_more_quiet_is_what_a_wandering_base_leaves(space: Workspace) -> None:
+    some = _named(space, "drift", "creep")
+    tried = Tried(space, some, 5e-5)
+    drift = next(j for j, k in enumerate(some) if k.effect == "drift")
+    whole = {k.joint: j for j, k in enumerate(some) if k.effect == "creep" and k.component is None}
+    found = Found(drift, ("drift", None), 0.0, 1000.0, first=1000.0)
+    assert _caster(tried, whole["vertical"], 8.0, [found]) is found
+    assert _caster(tried, whole["vertical"], 12.0, [found]) is None
+    assert _caster(tried, whole["pitch"], 8.0, [found]) is None
+
+
+def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: Workspace) -> None:
+    c = space.context
+    sided = c.recording.wrench.copy()
+    sided[:, [0, 1, 2, 3, 5]] = 0.0
+    sided[:, 4] = np.where(sided[:, 4] > 0, 1.0, 0.3) * sided[:, 4]
+    off = replace(c, recording=replace(c.recording, wrench=sided))
+    moved = Column("frames", "sensor_error", {"component": -1}).evaluate(off)
+    moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = _search(there, ["wrench_error", "creep", "drift"])
+    assert [f.name for f in found] == [("wrench_error", None)]
+    assert _best(tried, found[0]).covariate == "My"
+    said = finding(there, tried, found[0])["parameters"]
+    assert set(said) == {"My_by_My", "My_by_My_sided"}
