@@ -556,6 +556,8 @@ def _wrench(c: Context) -> Iterator[Candidate]:
             yield Candidate(*where, (matrix[comp, source],), share=1.0 if comp == source else 0.2)
     gain = Column("frames", "sensor_error", {"component": -1})
     yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
+    ageing = Column("frames", "sensor_error", {"component": -1, "time": "linear"})
+    yield Candidate("wrench_error", None, None, None, "time", (ageing,), share=0.5)
     # a calibration matrix of its own: of every channel's gain, or of all that it has
     for some in ([matrix[k, k] for k in range(6)], [*matrix.values()]):
         if alive := _alive(c, some):

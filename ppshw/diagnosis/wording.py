@@ -198,8 +198,9 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
     temperature."""
     of, source = args["component"], args.get("source", -1)
     kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
+    hourly = "_per_hour" * (args.get("time") == "linear")
     if of < 0:
-        return f"gain{kelvin}"
+        return "gain" + (kelvin or hourly)
     name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
     if args.get("bent"):
         return f"{name}_{args['bent']}"
@@ -207,7 +208,7 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
         return f"{name}_zero_wave_{args['tau']:g}"
     if args.get("time") == "step":
         return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
-    return name + (kelvin or "_zero" * (source < 0) + "_per_hour" * (args.get("time") == "linear"))
+    return name + (kelvin or "_zero" * (source < 0) + hourly)
 
 
 def _misread(args: Mapping[str, Any]) -> str:
@@ -217,7 +218,7 @@ def _misread(args: Mapping[str, Any]) -> str:
     if "place" in args and (of < 0 or source == of):
         return "1/K"
     if of < 0:
-        return "1"
+        return "1/h" if args.get("time") == "linear" else "1"
     unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
     if source < 0:
         return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit

@@ -136,6 +136,8 @@ def test_what_a_sensor_misreads_is_said_in_the_units_of_its_components(space: Wo
     assert (said[0, -1, "", True], said[4, -1, "", True]) == ("N/K", "N m/K")
     assert (said[4, 4, "", False], said[-1, -1, "", False], said[3, 0, "", False]) == ("1", "1", "N m/N")
     assert (said[1, 1, "odd", False], said[5, 5, "even", False]) == ("1/N", "1/(N m)")
+    ageing = next(k for k in library(space.context) if k.columns[0].args == {"component": -1, "time": "linear"})
+    assert parameters_of(ageing, np.ones(1), np.ones(1))["gain_per_hour"]["unit"] == "1/h"
 
 
 def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -> None:
