@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
+from ppshw.terms.elastic import skew
 from ppshw.terms.history import STANDSTILL
 from ppshw.terms.shapes import Column, Context, load_of
 
@@ -721,7 +722,7 @@ def _missing_compliance(c: Context) -> Iterator[Candidate]:
         for b in loads_on(c, frame):
             for comp in range(6):
                 where = ("missing_compliance", name, name or "base", COMPONENTS[comp], WRENCH_COMPONENTS[b])
-                share = 1.0 if comp == b else 0.2
+                share = 1.0 if comp == b else 0.05 if skew(*sorted((comp, b))) else 0.2
                 if b not in known:
                     args = {"frame": frame, "component": b}
                     yield Candidate(*where, (Column("frame", "load", args, frame, comp),), {}, share)
