@@ -26,7 +26,8 @@ READ = frozenset({"sensor_error"})  # functions of what the force sensor read, o
 
 
 def of_its_kind(
-    named: Candidate, rival: Candidate, parallel: Collection[str] = (), inside: tuple[str, ...] = ()
+    named: Candidate, rival: Candidate, parallel: Collection[str] = (), inside: tuple[str, ...] = (),
+    both_of_a_load: bool = False,
 ) -> bool:
     """Whether a rival without a name would bear the name's, by what the name means (contract, §4).
 
@@ -53,6 +54,11 @@ def of_its_kind(
             return over == {named.covariate}
         case "creep":
             return any(name.startswith("late_") and "_on_" in name for name in over) and rival.frame == named.frame
+        case "nonlinear_stiffness" if both_of_a_load:
+            return _of_its_load(named, rival)
+        case "clearance":
+            held = here and all(column.function == "load_side_held" for column in rival.columns)
+            return held or (both_of_a_load and _of_its_load(named, rival))
         case "nonlinear_stiffness":
             return _of_its_load(named, rival) and all(column.function in SMOOTH for column in rival.columns)
         case "wrench_error":

@@ -70,6 +70,7 @@ AT_ONCE = 0.02  # of the recording's duration: moments that are one
 # Names beside louder structure without one, in decks of three authors: 5 to 22 of log evidence were wrong in four
 # cases, 92 and 102 right.
 QUIET = 25.0
+OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})
 LOADS = frozenset({
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
 })  # fmt: skip
@@ -126,7 +127,8 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
             if _name(tried, start[0]) in [f.name for f in found]:
                 continue
             instead = _greedy(space, tried, start, None)
-            if len(found) == len(instead) == 1:  # no two effects: its name was compared with the others already
+            # its name was compared with the others already, where no two effects act or the others are the same
+            if len(found) == len(instead) == 1 or _same_but_for_a_load(tried, found, instead):
                 continue
             total = _explained(space, tried, instead)
             if len(instead) <= len(found) - FEWER:
@@ -141,6 +143,17 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
     _drop_what_riddles_leave(space, tried, found)
     _weigh(space, tried, found)
     return found
+
+
+def _same_but_for_a_load(tried: Tried, found: Sequence[Found], instead: Sequence[Found]) -> bool:
+    """Whether two sets of findings differ by no more than whether functions of a load are stiffness or clearance."""
+
+    def what(f: Found) -> tuple[object, ...]:
+        best = tried.candidates[f.best]
+        of_a_load = f.name[0] in OF_A_LOAD
+        return (of_a_load or f.name[0], best.frame, best.component, best.covariate)
+
+    return sorted(map(str, map(what, found))) == sorted(map(str, map(what, instead)))
 
 
 def _effects(found: Sequence[Found]) -> int:
@@ -218,7 +231,7 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[f
     parallel, inside = _never_turned(machine), within(machine)
     others = np.array([
         j for j in np.flatnonzero(tried.name_of == freely)
-        if not of_its_kind(mine, tried.candidates[j], parallel, inside)
+        if not of_its_kind(mine, tried.candidates[j], parallel, inside, not OF_A_LOAD & tried.without)
     ])  # fmt: skip
     counted = np.array([counts(mine, tried.candidates[j]) for j in others])
     weighed = counted * evidence[others] + tried.log_share[others]
@@ -325,7 +338,8 @@ def _caster(tried: Tried, best: int, evidence: float, found: list[Found]) -> Fou
         )
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate or _at_once(tried, candidate, other)
-        if by_load and not same_joint and _left_there(tried, other) < SAME_EFFECT * evidence:
+        alike = candidate.effect == other.effect and candidate.covariate == other.covariate
+        if by_load and not same_joint and not alike and _left_there(tried, other) < SAME_EFFECT * evidence:
             by_load = same_cause = False
         riddle = other.effect == "nameless" and _of_a_riddle(candidate, other)
         # what a base that wanders leaves may by chance go with a temperature
@@ -512,8 +526,12 @@ def _reconsider(space: Workspace, tried: Tried, found: list[Found]) -> None:
     for _ in range(ROUNDS):
         changed = False
         for f in list(found):
-            take_up(space, tried, [g for g in found if g is not f])
-            best, f.evidence = _best(tried)
+            others = [g for g in found if g is not f]
+            take_up(space, tried, others)
+            best, evidence = _best(tried)
+            if max([evidence, *(g.first for g in others)]) < SHADOW * f.first:
+                continue  # what quiet ones may be like besides their own forms took it from the loud one
+            f.evidence = evidence
             if f.evidence < LEAST_FURTHER:
                 found.remove(f)
             elif best != f.best:

@@ -92,6 +92,18 @@ def test_a_gap_that_goes_with_something_or_tilts_is_a_gap_if_most_of_it_is_alway
         assert counts(named, other) == 1.0
 
 
+def test_what_goes_with_a_load_is_stiffness_or_clearance_where_both_have_a_name() -> None:
+    for effect in ("clearance", "nonlinear_stiffness"):
+        named = _named(effect, "yaw", "yaw", "rx", "Mx")
+        bent = _rival("yaw", "rx", "on_yaw_Mx", function="load_bump")
+        assert of_its_kind(named, bent, both_of_a_load=True)
+        assert not of_its_kind(named, bent)
+        assert not of_its_kind(named, _rival("yaw", "rx", "on_yaw_Mx", "q_yaw"), both_of_a_load=True)
+        assert not of_its_kind(named, _rival("yaw", "ry", "on_yaw_Mx"), both_of_a_load=True)
+        held = _rival("yaw", "rx", "on_yaw_Mx", "previous_on_yaw_Mx", function="load_side_held")
+        assert of_its_kind(named, held) == (effect == "clearance")
+
+
 @pytest.mark.parametrize("effect", ["clearance", "backlash", "friction_hysteresis"])
 def test_neighbours_that_are_each_other_s_rivals_have_no_kin(effect: str) -> None:
     """Any function of a load is as much a clearance as a stiffness: which it is its form must say."""

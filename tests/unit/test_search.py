@@ -537,6 +537,35 @@ def test_a_side_that_is_held_until_a_load_pushes_it_over_is_no_stiffness_where_c
     assert [f.name[0] for f in found] == ["clearance"]
 
 
+def test_a_side_that_loads_of_several_sizes_push_over_is_clearance(space: Workspace) -> None:
+    k = space.machine.joint_names.index("longitudinal") + 1
+    there = space
+    for width in (0.1, 0.5):
+        there = _with(there, Column("frame", "load_side_held", {"frame": k, "component": 3, "width": width}, k, 3), 3.0)
+    found, _ = _search(there, ["clearance", "nonlinear_stiffness"])
+    assert [f.name for f in found] == [("clearance", "longitudinal")]
+
+
+def test_clearance_and_stiffness_of_one_load_at_one_place_are_not_without_a_name(space: Workspace) -> None:
+    """The two pull against each other, so that no form of either is both."""
+    k = space.machine.joint_names.index("longitudinal") + 1
+    where = {"frame": k, "component": 3}
+    there = _with(space, Column("frame", "load_side", {**where, "width": 0.1}, k, 3), 3.0)
+    there = _with(there, Column("frame", "load_power", {**where, "exponent": 2.5}, k, 3), 6.0)
+    found, _ = _search(there, ["clearance", "nonlinear_stiffness"])
+    assert found and {f.name[0] for f in found} <= {"clearance", "nonlinear_stiffness"}
+
+
+def test_what_a_loud_clearance_is_is_not_taken_for_what_a_quiet_one_of_the_next_link_may_be_like(
+    space: Workspace,
+) -> None:
+    k = space.machine.joint_names.index("yaw") + 1
+    column = Column("frame", "load_side_held", {"frame": k, "component": 5, "width": 0.15}, k, 5)
+    for times in (8.0, 20.0):
+        found, _ = _search(_with(space, column, times), ["clearance", "nonlinear_stiffness"])
+        assert [f.name for f in found] == [("clearance", "yaw")]
+
+
 def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Workspace) -> None:
     """Ten waves over the travel, steep on one side."""
     joint = space.machine.joint_names.index(NAME)
