@@ -76,18 +76,23 @@ def diagnose(
     tell(0, 10)
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
-    # what swings more than the rest counts less, or its visits would be called wrong and its swings an effect
+    # what swings more than the rest counts less, or its visits would be called wrong
     calming = _calming(space, without, seed)
-    if calming is not None:
-        space = prepare(machine, recording, everything, space.base, calming)
-    gross = gross_errors(space)
+    calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
+    gross = gross_errors(calmed)
     believed = everything.copy()
     if gross.visits:
         believed[list(gross.visits)] = False
     if gross.visits or gross.at_a_place:
-        space = prepare(machine, recording, believed, None, calming, gross.at_a_place)
+        space = prepare(machine, recording, believed, None, None, gross.at_a_place)
+    del calmed
     tell(2, 10)
+    # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
     tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
+    if calming is not None and not found:
+        del tried
+        space = prepare(machine, recording, believed, space.base, calming, gross.at_a_place)
+        tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
         # more; and a third time where visits come back that only looked wrong

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import gross
+from ppshw.diagnosis import diagnose, gross
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.gross import (
     GrossErrors,
@@ -174,6 +174,21 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
     found = scatter_of(rings, 0, any_way=True)
     assert found is not None
     assert found.finding["covariate"] in ("move_yaw", "move length")
+
+
+def test_what_goes_with_two_joints_last_moves_is_no_scatter_though_it_looks_so(clean: Workspace) -> None:
+    lateral, yaw = (clean.machine.joint_names.index(name) for name in ("lateral", "yaw"))
+    moved = np.diff(clean.recording.q, axis=0, prepend=clean.recording.q[:1])
+    both = moved[:, lateral] * moved[:, yaw]
+    twist = clean.context.jacobian[:, :, lateral + 1, 3] * both[:, None]
+    twist *= 2e-4 / np.sqrt((twist**2).sum() / clean.recording.seen.sum())
+    turned = clean.base.measuring_in_base[:3, :3]
+    points = clean.recording.points + twist.reshape(clean.recording.points.shape) @ turned
+    recording = replace(clean.recording, points=points)
+    assert scatter_of(prepare(clean.machine, recording, clean.fit), 0) is not None
+    answer = diagnose(clean.machine, recording).answer
+    assert (answer["verdict"], answer["findings"]) == ("unexplained", [])
+    assert set(answer["unexplained"]["covariates"]) == {"q_lateral", "q_yaw"}
 
 
 def test_noise_that_grows_in_all_directions_is_calmed_in_all(clean: Workspace) -> None:
