@@ -13,6 +13,7 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gross import (
     GrossErrors,
     Scatter,
@@ -23,9 +24,9 @@ from ppshw.diagnosis.gross import (
     still_gross,
 )
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
-from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import LOADS, Found, search
+from ppshw.diagnosis.search import search
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.terms import COMPONENTS

@@ -25,6 +25,11 @@ from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column, Key
 
 Array = NDArray[np.float64]
+# What counts as significant, family-wise: the first finding, and any beside it.
+FIRST, FURTHER = 0.05, 0.02
+# No finding without real odds, however quiet the null: e² = 7 to 1 against nothing (of 40 clean recordings three
+# reached e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
+LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
 AMPLITUDES = (1 / 3, 1.0, 3.0)
 DRAWS = 199
 TOP = 3  # of these, by which their tail is laid
@@ -246,6 +251,19 @@ class Tried:
         said = np.array([np.logaddexp.reduce(names[self._effect_of == e]) for e in range(self._effect_of.max() + 1)])
         said[self._effect_of[np.argmax(names)]] += NEARLY_A_TIE
         return int(np.argmax(np.where(self._effect_of == int(np.argmax(said)), names, -np.inf)))
+
+    def said(self) -> tuple[Array, Array]:
+        """Log evidence of all candidates (C,) and of all names, beside what is taken up."""
+        evidence = self.evidence(self.scores()[None])
+        return evidence[0], self.by_name(evidence)[0]
+
+    def name(self, candidate: int) -> Name:
+        """The name of the candidate at an index."""
+        return self.names[int(self.name_of[candidate])]
+
+    def strongest(self, evidence: Array, name: int) -> int:
+        """The best candidate of the name at this index, for the evidence (C,) of all."""
+        return int(np.argmax(np.where(self.name_of == name, evidence + self.log_share, -np.inf)))
 
     def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,).

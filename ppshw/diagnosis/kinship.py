@@ -6,9 +6,11 @@ up because a function without one is more of the same: only because something el
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 
 from ppshw.diagnosis.library import Candidate
+from ppshw.machine import Machine
 
 # A function of a link's own load that is finest where it changes sign may be clearance. It may say so much more than a
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
@@ -22,6 +24,7 @@ ALWAYS = 0.85
 # library's: 2.1 % of loud Bouc-Wen friction (another author's 9207). Of play that has no name it says far more.
 WOUND_UP = 0.97
 SMOOTH = frozenset({"covariate", "load_legendre"})
+OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})  # any function of a link's own load is one or the other
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
 
 
@@ -84,3 +87,8 @@ def _of_its_load(named: Candidate, rival: Candidate) -> bool:
     """Whether a rival is a function of the very load that the name goes with, at the very place."""
     here = (named.frame, named.component) == (rival.frame, rival.component)
     return here and rival.covariates == (f"on_{named.frame}_{named.covariate}",)
+
+
+def never_turned(machine: Machine) -> list[str]:
+    """Frames behind no revolute joint, whose axes stay parallel to the base's."""
+    return [joint.name for joint in itertools.takewhile(lambda joint: joint.prismatic, machine.joints)]

@@ -43,6 +43,9 @@ SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 # authors' does), play between soft walls over less. But walls give way by some gaps: where a hundredth of the travel is
 # more than SOFTEST times what a joint can have lost, that much winds up (a ninth author's friction of 0.6 to 5 %).
 WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
+LOADS = frozenset({  # effects that loads make
+    "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
+})  # fmt: skip
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
 SOFT_WALLS = np.array([0.002, 0.005, 0.01])

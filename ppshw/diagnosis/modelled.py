@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.carried import a_matter_of_time
+from ppshw.diagnosis.found import Found, coefficients, modelled
 from ppshw.diagnosis.gaussian_process import in_words
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import Found, coefficients, modelled
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import UNNAMED, Effect

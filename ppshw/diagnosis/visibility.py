@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import CHUNK, LEAST_SHARE, Batch, Name, Tried
+from ppshw.diagnosis.evidence import CHUNK, FIRST, LEAST_FIRST, LEAST_SHARE, Batch, Name, Tried
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.search import FIRST, LEAST_FIRST
 
 Array = NDArray[np.float64]
 # Nine draws of ten of a standard normal are above −1.28.

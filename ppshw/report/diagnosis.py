@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import ODD, check, sentence
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
-from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.wording import how_rare
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError

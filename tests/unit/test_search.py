@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,27 +9,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ppshw.diagnosis import standing, weights
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import FALLS_AT, Candidate, library, own_component
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import (
-    MAY_BE_PLAY,
-    OUTSIDE,
-    Found,
-    _beside_a_riddle,
-    _caster,
-    _drop_what_riddles_leave,
-    _give_up,
-    _soft_walls,
-    search,
-)
+from ppshw.diagnosis.search import _best as best_beside
+from ppshw.diagnosis.search import search
+from ppshw.diagnosis.shadows import caster_of
+from ppshw.diagnosis.weights import MAY_BE_PLAY, OUTSIDE, _soft_walls
 from ppshw.diagnosis.wording import finding, parameters_of
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
 
-module = importlib.import_module("ppshw.diagnosis.search")
 NAME = "pitch"  # whose travel is short
 
 
@@ -197,7 +190,7 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     found, tried = _search(slipping, ["friction_hysteresis"], NAME)
     tried.names.append(("backlash", NAME))
     lag = np.array([0.05 * width]), np.array([unsure * width]), 0.0
-    monkeypatch.setattr(module, "coefficients", lambda *_: lag)
+    monkeypatch.setattr(weights, "coefficients", lambda *_: lag)
     found[0].weights = {found[0].name: 0.95}
     _soft_walls(space, tried, found[0])
     assert (("backlash", NAME) in found[0].weights) == may_be
@@ -225,9 +218,9 @@ def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: fl
     tried = Tried(space, some, 5e-5)
     named = Found(0, ("creep", NAME), 0.0, 160.0, size=5e-5, first=160.0)
     riddle = Found(there, ("nameless", None), 0.0, 160.0 * share, size=4e-5, first=160.0 * share)
-    assert _beside_a_riddle(tried, named, [riddle]) is beside
+    assert standing._beside_a_riddle(tried, named, [riddle]) is beside
     riddle.size = 2e-5  # less than half as large
-    assert not _beside_a_riddle(tried, named, [riddle])
+    assert not standing._beside_a_riddle(tried, named, [riddle])
 
 
 @pytest.mark.parametrize(
@@ -248,9 +241,9 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     without = np.array([k.effect == "nameless" for k in some])
     evidence = np.where(without, rival, own)
     evidence -= math.log(sum(math.exp(share) for share in tried.log_share[without]))
-    monkeypatch.setattr(module, "_by_itself", lambda *_: (own, with_all, evidence))
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (own, with_all, evidence))
     found = [Found(0, ("creep", NAME), 0.0, 160.0, first=160.0)]
-    _give_up(space, tried, found)
+    standing.give_up(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
 
@@ -268,9 +261,9 @@ def test_a_name_that_goes_with_time_alone_is_left_of_a_riddle_ten_times_as_loud_
     ]  # fmt: skip
     tried = Tried(space, some, 5e-5)
     said = {"nameless": 100.0, effect: own}
-    monkeypatch.setattr(module, "_by_itself", lambda _, __, f, ___: (said[f.name[0]], 200.0, None))
+    monkeypatch.setattr(standing, "_by_itself", lambda _, __, f, ___: (said[f.name[0]], 200.0, None))
     found = [Found(0, (effect, NAME), 0.0, own, first=own), Found(1, ("nameless", None), 0.0, 100.0, first=100.0)]
-    _drop_what_riddles_leave(space, tried, found)
+    standing.drop_what_riddles_leave(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == ([effect] if stands else []) + ["nameless"]
 
@@ -292,8 +285,8 @@ def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
     for again, wanted in ((at_once, at_once), (later, slow)):
         evidence = np.where(np.isin(np.arange(len(some)), [again, slow]), 50.0, -50.0)
         names = np.array([{("drift", None): 62.0, ("zero_shift", "lateral"): 55.0}.get(n, -9.0) for n in tried.names])
-        monkeypatch.setattr(module, "_names", lambda _, said=(evidence, names): said)
-        assert module._best(tried, found)[0] == wanted
+        monkeypatch.setattr(tried, "said", lambda said=(evidence, names): said)
+        assert best_beside(tried, found)[0] == wanted
 
 
 def test_what_has_no_name_draws_no_other_place_to_itself(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -306,8 +299,8 @@ def test_what_has_no_name_draws_no_other_place_to_itself(space: Workspace, monke
     names = np.array([20.0 if name[0] == "creep" else 11.0 for name in tried.names])
     for again, wanted in ((there, "creep"), (elsewhere, "nameless")):
         evidence = np.where(np.arange(len(some)) == again, 15.0, -50.0)
-        monkeypatch.setattr(module, "_names", lambda _, said=(evidence, names): said)
-        assert some[module._best(tried, found)[0]].effect == wanted
+        monkeypatch.setattr(tried, "said", lambda said=(evidence, names): said)
+        assert some[best_beside(tried, found)[0]].effect == wanted
 
 
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
@@ -397,8 +390,8 @@ def test_play_in_another_drive_does_not_make_friction_play(
     names = np.full(len(tried.names), -50.0)
     names[tried.names.index(("friction_hysteresis", NAME))] = 99.0
     names[tried.names.index(("backlash", NAME))] = said
-    monkeypatch.setattr(module, "_names", lambda _: (np.zeros(len(some)), names))
-    best = module._best(tried, [Found(there, ("backlash", "yaw"), 0.0, 400.0, first=400.0)])[0]
+    monkeypatch.setattr(tried, "said", lambda: (np.zeros(len(some)), names))
+    best = best_beside(tried, [Found(there, ("backlash", "yaw"), 0.0, 400.0, first=400.0)])[0]
     assert (some[best].effect, some[best].joint) == (wanted, NAME)
 
 
@@ -412,11 +405,11 @@ def test_clearance_about_one_axis_does_not_make_stiffness_about_another_clearanc
     loud = [about[effect, "rz"] for effect in ("clearance", "nonlinear_stiffness")]
     evidence = np.where(np.isin(np.arange(len(some)), loud), 50.0, 0.0)
     names = np.array([{"nonlinear_stiffness": 99.0}.get(effect, said) for effect, _ in tried.names])
-    monkeypatch.setattr(module, "_names", lambda _: (evidence, names))
+    monkeypatch.setattr(tried, "said", lambda: (evidence, names))
     found = Found(about["clearance", "rx"], ("clearance", "yaw"), 0.0, 400.0, first=400.0)
-    assert some[module._best(tried, [found])[0]].effect == wanted
+    assert some[best_beside(tried, [found])[0]].effect == wanted
     found.best = about["clearance", "rz"]
-    assert some[module._best(tried, [found])[0]].effect == "clearance"
+    assert some[best_beside(tried, [found])[0]].effect == "clearance"
 
 
 
@@ -470,10 +463,10 @@ def test_a_reflector_that_moves_twice_is_one_finding(space: Workspace) -> None:
     tried = Tried(space, some, 5e-5)
     found = Found(first, ("target_moved", None), 0.0, 50.0, first=50.0)
     assert some[first].covariate != some[later].covariate
-    assert _caster(tried, later, 60.0, [found]) is None
+    assert caster_of(tried, later, 60.0, [found]) is None
     again = next(j for j in range(later, 0, -1) if some[j].covariate == some[first].covariate)
     assert some[again].shape["time_h"] > some[first].shape["time_h"] + 1.0
-    assert _caster(tried, again, 60.0, [found]) is found
+    assert caster_of(tried, again, 60.0, [found]) is found
 
 
 def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Workspace) -> None:
@@ -486,9 +479,9 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
     away = np.array([abs(k.shape["time_h"] - moment) if k.effect == "zero_shift" else np.inf for k in some])
     there, later = int(np.argmin(away)), int(np.argmin(np.abs(away - 1.0)))
     found = Found(knock, ("target_moved", None), 0.0, 1000.0, first=1000.0)
-    assert _caster(tried, there, 10.0, [found]) is found
-    assert _caster(tried, later, 10.0, [found]) is None
-    assert _caster(tried, there, 500.0, [found]) is None
+    assert caster_of(tried, there, 10.0, [found]) is found
+    assert caster_of(tried, later, 10.0, [found]) is None
+    assert caster_of(tried, there, 500.0, [found]) is None
 
 
 def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
@@ -502,8 +495,8 @@ def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(s
     frame, component = some[creep].columns[0].frame, some[creep].columns[0].component
     where = {"frame": frame, "component": component, "order": 3}
     left = _with(space, Column("frame", "load_legendre", where, frame, component), 1.0)
-    assert _caster(Tried(left, some, 5e-5), misread, 10.0, [found]) is found
-    assert _caster(tried, misread, 10.0, [found]) is None
+    assert caster_of(Tried(left, some, 5e-5), misread, 10.0, [found]) is found
+    assert caster_of(tried, misread, 10.0, [found]) is None
     both = _with(_with(space, some[creep].columns[0], 10.0), some[misread].columns[0], 2.0)
     names = {f.name for f in _search(both, ["creep", "wrench_error"])[0]}
     assert names == {("creep", NAME), ("wrench_error", None)}
@@ -553,7 +546,8 @@ def test_clearance_and_stiffness_of_one_load_at_one_place_are_not_without_a_name
     there = _with(space, Column("frame", "load_side", {**where, "width": 0.1}, k, 3), 3.0)
     there = _with(there, Column("frame", "load_power", {**where, "exponent": 2.5}, k, 3), 6.0)
     found, _ = _search(there, ["clearance", "nonlinear_stiffness"])
-    assert found and {f.name[0] for f in found} <= {"clearance", "nonlinear_stiffness"}
+    assert found
+    assert {f.name[0] for f in found} <= {"clearance", "nonlinear_stiffness"}
 
 
 def test_what_a_loud_clearance_is_is_not_taken_for_what_a_quiet_one_of_the_next_link_may_be_like(
@@ -656,8 +650,8 @@ def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(spac
     warm = next(j for j, k in enumerate(some) if k.effect == "thermal_growth" and k.joint == "roll")
     jump = next(j for j, k in enumerate(some) if k.effect == "zero_shift" and k.joint == "yaw")
     found = Found(warm, ("thermal_growth", "roll"), 0.0, 4000.0, first=4000.0)
-    assert _caster(tried, jump, 30.0, [found]) is found
-    assert _caster(tried, jump, 50.0, [found]) is None
+    assert caster_of(tried, jump, 30.0, [found]) is found
+    assert caster_of(tried, jump, 50.0, [found]) is None
 
 
 def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Workspace) -> None:
@@ -666,9 +660,9 @@ def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Worksp
     drift = next(j for j, k in enumerate(some) if k.effect == "drift")
     warm = {k.frame: j for j, k in enumerate(some) if k.covariates == ("late_1_temp_air_C",)}
     found = Found(drift, ("drift", None), 0.0, 400.0, first=400.0)
-    assert _caster(tried, warm["base"], 30.0, [found]) is found
-    assert _caster(tried, warm["base"], 50.0, [found]) is None
-    assert _caster(tried, warm[space.machine.joint_names[-1]], 30.0, [found]) is None
+    assert caster_of(tried, warm["base"], 30.0, [found]) is found
+    assert caster_of(tried, warm["base"], 50.0, [found]) is None
+    assert caster_of(tried, warm[space.machine.joint_names[-1]], 30.0, [found]) is None
 
 
 @pytest.mark.parametrize("load", ["Fz", "Mx"])
@@ -720,9 +714,9 @@ def test_creep_of_a_whole_rail_a_hundred_times_more_quiet_is_what_a_wandering_ba
     drift = next(j for j, k in enumerate(some) if k.effect == "drift")
     whole = {k.joint: j for j, k in enumerate(some) if k.effect == "creep" and k.component is None}
     found = Found(drift, ("drift", None), 0.0, 1000.0, first=1000.0)
-    assert _caster(tried, whole["vertical"], 8.0, [found]) is found
-    assert _caster(tried, whole["vertical"], 12.0, [found]) is None
-    assert _caster(tried, whole["pitch"], 8.0, [found]) is None
+    assert caster_of(tried, whole["vertical"], 8.0, [found]) is found
+    assert caster_of(tried, whole["vertical"], 12.0, [found]) is None
+    assert caster_of(tried, whole["pitch"], 8.0, [found]) is None
 
 
 def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: Workspace) -> None:

@@ -16,10 +16,10 @@ from ppshw.calibration import Calibration
 from ppshw.cli import main
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import Check, before_and_after, check, sentence
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Map, channels, gradients
 from ppshw.diagnosis.replicas import of_space
-from ppshw.diagnosis.search import Found
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import CalibrationError, ReportError
 from ppshw.identification.joint import estimate

@@ -15,9 +15,10 @@ from ppshw.cli import main
 from ppshw.compensation import Bounds, Compensator
 from ppshw.diagnosis.carried import Carried, a_matter_of_time, carry
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.search import Found, search
+from ppshw.diagnosis.search import search
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.evaluation import evaluate, residuals
 from ppshw.identification.joint import estimate

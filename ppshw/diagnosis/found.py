@@ -1,0 +1,129 @@
+"""What was found, laid into the workspace with what else it may be like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
+from ppshw.diagnosis.forms import near_forms
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import Column
+
+Array = NDArray[np.float64]
+PRIOR_SD = 3.0  # of a coefficient once taken up, in `Workspace.unit`s; of more than FEW the less
+FEW = 6  # columns
+NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
+
+
+@dataclass
+class Found:
+    """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
+    size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
+    what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
+    carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up."""
+
+    best: int
+    name: Name
+    p: float
+    evidence: float
+    weights: dict[Name, float] = field(default_factory=dict)
+    size: float = 0.0
+    near: tuple[Column, ...] = ()
+    more: tuple[Column, ...] = ()
+    first: float = 0.0
+    at: int = 0
+    carried: bool = True
+    was: int | None = None
+
+    def columns(self, candidate: Candidate) -> slice:
+        """Where its columns are in the workspace, near forms among them; candidate: its best."""
+        return slice(self.at, self.at + len(candidate.columns) + len(self.near))
+
+
+def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool = True) -> None:
+    """The workspace with exactly these findings, and with what else each of them may be like.
+
+    and_look  candidates are to be looked at beside them; False, which is quick, for what they explain together
+    """
+    for f in found:
+        if f.size == 0.0:
+            _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
+    _lay(space, tried, found)
+    if and_look:
+        tried.update([c.key for f in found for c in (*tried.candidates[f.best].columns, *f.near)])
+
+
+def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
+    """The size of a finding's own form, alone beside the others; its near forms scale with it."""
+    candidate = tried.candidates[f.best]
+    f.near = ()
+    _lay(space, tried, [*others, f])
+    f.size = coefficients(space, candidate, f)[2]
+    near = (*near_forms(space.context, candidate, tried.without), *f.more)
+    f.near = tuple({c.key: c for c in near}.values())
+
+
+def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    if not found:
+        space.forget()
+        return
+    laid: list[tuple[Array, Array, Array]] = []
+    prior: list[float] = []
+    for f in found:
+        f.at = len(laid)
+        candidate = tried.candidates[f.best]
+        laid += [tried.value(c) for c in candidate.columns]
+        many = min(1.0, FEW / len(candidate.columns))
+        prior += (many * PRIOR_SD * tried.unit / tried.scale[tried.index[f.best]]).tolist()
+        for column in f.near:
+            laid.append(tried.value(column))
+            # what wanders does so with half the amplitude at twice the pace, like a random walk
+            pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, laid[-1][0]), 1e-30))
+    raw, white, absorbed = (np.stack(each, axis=-1) for each in zip(*laid, strict=True))
+    space.take_up(raw, np.maximum(prior, 1e-30), (white, absorbed))
+
+
+def explained(space: Workspace, tried: Tried, found: list[Found]) -> float:
+    """Log evidence of all findings together, as taken up, less what each has to bring and what counts against those
+    without a name."""
+    cost = sum(LEAST_FURTHER - float(tried.log_share[f.best]) for f in found)
+    return space.log_evidence() - cost - against_riddles(found)
+
+
+def against_riddles(found: list[Found]) -> float:
+    """What counts against findings without a name: their functions bend as they need."""
+    return sum((1 / HANDICAP - 1) * f.first for f in found if f.name[0] == "nameless")
+
+
+def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array, float]:
+    """Coefficients of the finding's own form, their standard deviations, and the rms of all its forms [m]."""
+    _, values = space.coefficients()
+    main, every = slice(found.at, found.at + len(candidate.columns)), found.columns(candidate)
+    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[main]
+    return values[main], std, _rms(space, space.taken[:, :, every] @ values[every])
+
+
+def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
+    """Coefficients of the finding's own form and their standard deviations, as if it had no near forms: what a gap or a
+    jump is. Beside near forms, which can be the same or its opposite, they say little."""
+    keep = np.ones(len(space.taken_prior), dtype=bool)
+    keep[found.columns(candidate)] = False
+    keep[found.at : found.at + len(candidate.columns)] = True
+    return coefficients(space.keeping(keep), candidate, replace(found, near=()))[:2]
+
+
+def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:
+    """All columns of a finding, near forms among them, with values and standard deviations."""
+    _, values = space.coefficients()
+    here = found.columns(candidate)
+    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))
+    return (*candidate.columns, *found.near), values[here], std[here]
+
+
+def _rms(space: Workspace, displacement: Array) -> float:
+    return float(np.sqrt((displacement**2).sum() / max(int(space.recording.seen.sum()), 1)))

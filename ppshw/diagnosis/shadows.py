@@ -1,0 +1,91 @@
+"""What a finding's form leaves is no other effect: whose shadow a candidate beside a louder finding is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.kinship import never_turned
+from ppshw.diagnosis.library import LOADS, Candidate
+from ppshw.machine import WRENCH_COMPONENTS
+
+# Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
+SAME_EFFECT = 0.5
+# What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
+# is what the finding's form got wrong, not another effect.
+# A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it. What has no
+# name has no near forms either and leaves twice as much.
+# What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
+# over hours shows as creep of a whole rail.
+SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1
+AT_ONCE = 0.02  # of the recording's duration: moments that are one
+
+
+def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> Found | None:
+    """The finding whose shadow a candidate is, if it is one."""
+    candidate = tried.candidates[best]
+    for f in found:
+        other = tried.candidates[f.best]
+        if candidate.effect == other.effect == "target_moved" and candidate.covariate == other.covariate:
+            return f  # a reflector that moves now and again
+        same_joint = other.joint is not None and (
+            candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
+        )
+        by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
+        same_cause = candidate.covariate == other.covariate or at_once(tried, candidate, other)
+        alike = candidate.effect == other.effect and candidate.covariate == other.covariate
+        if by_load and not same_joint and not alike and _left_there(tried, other) < SAME_EFFECT * evidence:
+            by_load = same_cause = False
+        riddle = other.effect == "nameless" and of_a_riddle(candidate, other)
+        # what a base that wanders leaves may by chance go with a temperature
+        wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate
+        heat = other.effect == "thermal_growth" and candidate.covariate == "time"
+        by_rail = other.effect == "drift" and candidate.frame in never_turned(tried.space.machine)
+        slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
+        wave = candidate.effect == "periodic_transmission" != other.effect
+        least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
+        if (same_joint or by_load or same_cause or riddle or wanders) and evidence < least:
+            return f
+        if slowly and evidence < ANYWHERE * least:
+            return f
+    return None
+
+
+def _left_there(tried: Tried, other: Candidate) -> float:
+    """Log evidence of the best function of the load that a finding bears, at its own place: what its form leaves of it
+    is one. Infinite for what acts at no single place."""
+    if other.joint is None:
+        return math.inf
+    evidence, _ = tried.said()
+    there = [
+        j for j, k in enumerate(tried.candidates)
+        if k.effect == "nameless" and k.frame == other.frame and other.component in (None, k.component)
+        and k.covariates[0].startswith("on_")
+    ]  # fmt: skip
+    return max((float(evidence[j]) for j in there), default=math.inf)
+
+
+def at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    """Whether both happen at a moment, and at the same: what was knocked is displaced, not lost."""
+    if "time_h" not in one.shape or "time_h" not in other.shape:
+        return False
+    return abs(one.shape["time_h"] - other.shape["time_h"]) < AT_ONCE * float(np.ptp(tried.space.context.hours))
+
+
+def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
+    """What a function without a name leaves: something in the same component, over the same columns, by a load where it
+    goes with one, and over time where it goes with a temperature, lags, or a reflector wanders."""
+    loads = any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in other.covariates)
+    over = any(candidate.covariate in name for name in other.covariates)
+    slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
+    slow = slow or any(column.function == "target_shift" for column in other.columns)
+    by_load = loads and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
+    return same_place(candidate, other) or over or by_load or (slow and candidate.covariate == "time")
+
+
+def same_place(one: Candidate, other: Candidate) -> bool:
+    """Whether both move the same component of the same frame; what is at no frame is nowhere."""
+    return one.component is not None and (one.frame, one.component) == (other.frame, other.component)
