@@ -21,7 +21,8 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context, columns_at
+from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.covariates import columns_at
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

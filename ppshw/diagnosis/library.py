@@ -21,7 +21,8 @@ from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
 from ppshw.terms.elastic import skew
 from ppshw.terms.history import STANDSTILL
-from ppshw.terms.shapes import Column, Context, load_of
+from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.loads import load_of
 
 Array = NDArray[np.float64]
 ORDINALS = ("", "second_", "third_", "fourth_")

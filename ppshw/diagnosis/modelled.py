@@ -17,7 +17,8 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import UNNAMED, Effect
-from ppshw.terms.shapes import Column, region_of
+from ppshw.terms.shapes import Column
+from ppshw.terms.shapes.carried import region_of
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,9 @@ from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect
 from ppshw.terms.past import Moment, Past
-from ppshw.terms.shapes import Column, Context, bump, compliances
+from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.context import compliances
+from ppshw.terms.shapes.covariates import bump
 
 Array = NDArray[np.float64]
 # Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.terms.effect import Effect
-from ppshw.terms.shapes import Context, columns_at, region_of, windows
+from ppshw.terms.shapes import Context
+from ppshw.terms.shapes.carried import region_of, windows
+from ppshw.terms.shapes.covariates import columns_at
 
 Array = NDArray[np.float64]
 USED = 0.5  # share of what the correction may be that its sites determine, from which on it counts as used

@@ -20,7 +20,8 @@ from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects
 from ppshw.terms.effect import Effect
 from ppshw.terms.past import Moment, Past
-from ppshw.terms.shapes import Column, Context, covariate, named_column
+from ppshw.terms.shapes import Column, Context, named_column
+from ppshw.terms.shapes.covariates import covariate
 from tests.unit.clean_case import clean_case
 
 

@@ -1,0 +1,131 @@
+"""A recording's columns by their names, what is made of them, and smooth functions of any of these: (N,)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.history import STANDSTILL, former, hours_since_change, lagged, way_since_reversal
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.instrument import incidence, seen_at
+from ppshw.terms.shapes.wrenches import payloads_of
+
+Array = NDArray[np.float64]
+LEAST_H = 1e-4  # between two visits
+QUANTILES = 41  # that the ranks of a column are kept by
+
+
+def named_column(c: Context, name: str) -> Array:
+    """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
+    one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
+    turned back), stay_<joint> (how often it has moved until then), pace_<joint> (way a joint went since the visit
+    before, per hour), reach (from the base to the last frame), azimuth, elevation and distance (of the reflectors from
+    the instrument, the first from its mean), incidence (of the beam along that axis of the end effector where it
+    changes most), pause (since the visit before, h), load and former_load (mass of this payload and of the one before,
+    kg), previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
+    r, joints = c.recording, c.machine.joint_names
+    if name.startswith("q_"):
+        return np.asarray(r.q[:, joints.index(name[2:])])
+    if name.startswith("previous_"):
+        values = named_column(c, name[9:])
+        return np.concatenate([values[:1], values[:-1]])
+    if name.startswith("on_"):
+        frame, load = name[3:].rsplit("_", 1)
+        return np.asarray(c.wrenches[:, c.machine.frame_names.index(frame), WRENCH_COMPONENTS.index(load)])
+    if name.startswith("move_"):
+        q = r.q[:, joints.index(name[5:])]
+        return np.concatenate([[0.0], np.diff(q)])
+    if name.startswith("stay_"):
+        q = r.q[:, joints.index(name[5:])]
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)) > STANDSTILL * float(np.ptp(q)))])
+    if name.startswith("pace_"):
+        gone = np.abs(np.diff(r.q[:, joints.index(name[5:])]))
+        return np.concatenate([[0.0], gone / np.maximum(np.diff(c.hours), LEAST_H)])
+    if name in ("azimuth", "elevation"):
+        at = seen_at(c, name)[0].mean(axis=1)
+        return np.asarray(np.angle(np.exp(1j * at) / np.exp(1j * at).mean()))
+    if name == "incidence":
+        seen = incidence(c)[1].mean(axis=1)
+        return np.asarray(seen[:, int(np.argmax(seen.std(axis=0)))])
+    if name == "distance":
+        return np.asarray(np.linalg.norm(c.points - c.measuring_in_base[:3, 3], axis=2).mean(axis=1))
+    if name == "reach":
+        return np.asarray(np.linalg.norm(c.chain[:, -1, :3, 3] - c.chain[:, 0, :3, 3], axis=1))
+    if name.startswith("way_"):
+        k = joints.index(name[4:])
+        return way_since_reversal(r.q[:, k], r.approach[:, k])
+    if name.startswith("approach_"):
+        return np.asarray(r.approach[:, joints.index(name[9:])], dtype=float)
+    if name.startswith("temp_"):
+        return np.asarray(r.temperatures[name[5:-2]])
+    if name == "time":
+        return np.asarray(c.hours)
+    if name == "pause":
+        pauses = np.round(np.diff(c.hours), 7)  # a clock's own rounding is no change of pace
+        return np.concatenate([[np.median(pauses) if len(pauses) else 0.0], pauses])
+    if name == "since_load_change":
+        return hours_since_change(r.load, c.hours)
+    if name in ("load", "former_load"):
+        mass = payloads_of(c)[:, 0]
+        return mass if name == "load" else former(mass, r.load)
+    if name == "settle_s":
+        return np.asarray(r.settle_s)
+    if name.startswith("cov_"):
+        return np.asarray(r.covariates[name[4:]])
+    if name.startswith("late_"):
+        tau, late = name[5:].split("_", 1)
+        return lagged(named_column(c, late), c.hours, float(tau))
+    return np.asarray(r.wrench[:, WRENCH_COMPONENTS.index(name)])
+
+
+def columns_at(c: Context, names: tuple[str, ...]) -> Array:
+    """(N, d) columns by name; nan where this recording does not have one."""
+    out = np.full((len(c.recording), len(names)), np.nan)
+    for k, name in enumerate(names):
+        try:
+            out[:, k] = named_column(c, name)
+        except KeyError:
+            continue
+    return out
+
+
+def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
+    """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
+    was made from, nothing beyond what was seen there (but of time); count 1: the column."""
+    if count == 1:
+        return c.once(("standard", name), lambda: _standard(c, name)[1])
+    seen, rank = c.once(("ranks", name), lambda: _ranks(c, name))
+    return np.asarray(seen * bump(rank, knot, count))
+
+
+def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
+    return covariate(c, first, a, count) * covariate(c, second, b, count)
+
+
+def bump(at: Array, knot: int, count: int) -> Array:
+    """The knot-th of `count` Gaussian bumps, evenly over 0 … 1."""
+    return np.asarray(np.exp(-0.5 * ((at * (count - 1) - knot) / 1.2) ** 2))
+
+
+def _standard(c: Context, name: str) -> tuple[Array, Array]:
+    """(N,) a column less its mean, and in units of its spread; 0 where it does not vary."""
+    values = named_column(c, name)
+    middle = c.frozen(f"mean of {name}", float(np.nanmean(values)))
+    values = np.nan_to_num(values - middle)
+    spread = c.frozen(f"spread of {name}", float(values.std()))
+    return values, values / spread if spread else np.zeros(len(values))
+
+
+def _ranks(c: Context, name: str) -> Array:
+    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there; nothing of one that does not vary.
+    What went on with time is held where it was when nobody looked any more."""
+    values, _ = _standard(c, name)
+    if not c.frozen(f"spread of {name}", 0.0):
+        return np.zeros((2, len(values)))
+    places = np.linspace(0.0, 1.0, QUANTILES)
+    quantiles = [
+        c.frozen(f"quantile {k} of {name}", q) for k, q in enumerate(np.quantile(values, places).tolist())
+    ]
+    seen = (values >= quantiles[0]) & (values <= quantiles[-1]) | (name == "time")
+    return np.stack([seen, np.interp(values, quantiles, places)])

@@ -1,0 +1,46 @@
+"""Creep: what acts on a link that does not follow yet, by what acted there before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.history import followed, load_memory
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.wrenches import by_payload, deflection, gravity_at_sensor, own_wrenches, payloads_of
+
+Array = NDArray[np.float64]
+
+
+def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
+    """A component of the wrench on a frame that has not come yet; forms: see `_late`."""
+    return np.asarray(_late(c, tau, form)[:, frame, component])
+
+
+def creep(c: Context, tau: float, form: str, frame: int = -1) -> Array:
+    """What is still missing of every link's deflection after load changes, or of one frame's."""
+    missing = -deflection(c, _late(c, tau, form))
+    if frame >= 0:
+        missing[:, np.arange(missing.shape[1]) != frame] = 0.0
+    return missing
+
+
+def _late(c: Context, tau: float, form: str) -> Array:
+    """(N, n+1, 6) of every link's wrench that it does not follow yet.
+
+    form  "wrench": of the payload's, "total": of the machine's own weight too, a first-order lag of the wrench on the
+          link, which every move changes; "began": what that adds had nothing acted there before the calibration's
+          recording; else of former changes of load alone, as they act in the pose of now: see `load_memory`
+    """
+
+    def late() -> Array:
+        if form == "began":
+            return np.asarray(c.wrenches[:1] * np.exp(-c.hours / tau)[:, None, None])
+        if form in ("wrench", "total"):
+            whole = c.wrenches - own_wrenches(c) if form == "wrench" else c.wrenches
+            return np.asarray(whole - followed(whole, c.hours, tau))
+        g = gravity_at_sensor(c)
+        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form)
+        return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
+
+    return c.once(("late", tau, form), late)

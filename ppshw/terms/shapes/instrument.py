@@ -1,0 +1,80 @@
+"""What the instrument reads wrong on the measured points: (N, T, 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.time_and_heat import temperature
+
+Array = NDArray[np.float64]
+
+
+def scale(c: Context, place: str = "") -> Array:
+    """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature."""
+    return _rays(c, place)
+
+
+def strain(c: Context, first: int, second: int, place: str = "") -> Array:
+    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place."""
+    rays = _rays(c, place)
+    out = np.zeros_like(rays)
+    out[..., first], out[..., second] = rays[..., second], rays[..., first]
+    return out
+
+
+def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
+    """The instrument's azimuth or elevation off by the sine or cosine of `order` times itself: its encoders' error. Its
+    standing axis is taken for plumb."""
+    at, moves = seen_at(c, angle)
+    return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
+
+
+def range_error(c: Context, first: int, second: int = -1, target: int = -1) -> Array:
+    """Distances longer by a component of the direction in which the end effector's axes see the beam, or by the product
+    of two: reflectors whose cube corner or sphere is off, the more the more aslant the beam falls in. target: of one
+    reflector; -1: of all alike."""
+    beam, seen = incidence(c)
+    by = seen[..., first] * (seen[..., second] if second >= 0 else 1.0)
+    if target >= 0:
+        by = by * (np.arange(by.shape[1]) == target)
+    return np.asarray(beam * by[..., None])
+
+
+def refraction(c: Context, place: str, part: int) -> Array:
+    """What bends upwards per kelvin: by a coordinate in the measuring frame (part 0 to 2), evenly (3), with the squared
+    distance from its origin (4): together with the squared distance from wherever the instrument stands. The beam does
+    in air whose temperature changes with height."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    parts = (*np.moveaxis(rays, 2, 0), np.ones(rays.shape[:2]), (rays**2).sum(axis=2))
+    return np.asarray((parts[part] * temperature(c, place, 0.0)[:, None])[..., None] * up)
+
+
+def _rays(c: Context, place: str) -> Array:
+    """(N, T, 3) from the instrument to the targets; times a temperature with a place."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    return np.asarray(rays * temperature(c, place, 0.0)[:, None, None] if place else rays)
+
+
+def seen_at(c: Context, angle: str) -> tuple[Array, Array]:
+    """The angle at which the instrument sees every target (N, T), and how that moves as it grows (N, T, 3)."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    ahead = c.measuring_in_base[:3, 0] if abs(c.measuring_in_base[:3, 0] @ up) < 0.9 else c.measuring_in_base[:3, 1]
+    ahead = ahead - (ahead @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    height = rays @ up
+    level = rays - height[..., None] * up
+    away = np.maximum(np.linalg.norm(level, axis=2), 1e-9)
+    if angle == "azimuth":
+        return np.arctan2(rays @ np.cross(up, ahead), rays @ ahead), np.cross(up, level)
+    return np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
+
+
+def incidence(c: Context) -> tuple[Array, Array]:
+    """Unit vectors of the beams in the base and in the end effector's axes: (N, T, 3) each."""
+    rays = c.points - c.measuring_in_base[:3, 3]
+    beam = rays / np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), 1e-9)
+    return beam, np.einsum("nji,ntj->nti", c.tips[:, :3, :3], beam)

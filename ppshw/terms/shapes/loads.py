@@ -1,0 +1,118 @@
+"""Functions of a component of the wrench on a frame: (N,)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.history import side_held, slip
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.covariates import bump
+from ppshw.terms.shapes.time_and_heat import temperature
+from ppshw.terms.shapes.wrenches import own_weight
+
+Array = NDArray[np.float64]
+
+
+def load(c: Context, frame: int, component: int) -> Array:
+    return np.asarray(c.wrenches[:, frame, component])
+
+
+def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) -> Array:
+    return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
+
+
+def load_turn(c: Context, frame: int, component: int, joint: int, order: int, phase: str) -> Array:
+    """A component of the wrench on a frame times sine or cosine of `order` times a joint's angle: what gives way more
+    in some directions than in others."""
+    angle = order * c.recording.q[:, joint]
+    return np.asarray(c.wrenches[:, frame, component] * (np.sin(angle) if phase == "sin" else np.cos(angle)))
+
+
+def load_power(c: Context, frame: int, component: int, exponent: float) -> Array:
+    w = c.wrenches[:, frame, component]
+    return np.asarray(np.sign(w) * np.abs(w) ** exponent / _most(c, frame, component) ** (exponent - 1))
+
+
+def load_knee(c: Context, frame: int, component: int, at: float, width: float) -> Array:
+    """How far a component of the wrench on a frame is above `at`, rounded over `width` (both N or N m): what is stiffer
+    on one side of a load than on the other."""
+    above = c.wrenches[:, frame, component] - at
+    return np.asarray(0.5 * (above + np.hypot(above, width)))
+
+
+def load_beyond(c: Context, frame: int, component: int, at: float, width: float) -> Array:
+    """How far a component of the wrench on a frame is beyond `at` to either side, rounded over `width` (both N or N m):
+    what is softer once a preload is lost."""
+    w = c.wrenches[:, frame, component]
+    above, below = w - at, -w - at
+    return np.asarray(0.5 * (above + np.hypot(above, width)) - 0.5 * (below + np.hypot(below, width)))
+
+
+def load_side(
+    c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "", either: bool = False
+) -> Array:  # fmt: skip
+    """Which side a joint falls to: −1 … 1, saturating; width and offset relative to that load's spread.
+
+    of      "payload": by what the payload does to it alone, as if its own weight were balanced
+    either  how far from the middle, to whichever side: 0 … 1; beside the former, a gap that is wider on one side
+    """
+    side = np.tanh((load_of(c, frame, component, of) / _spread(c, frame, component, of) - offset) / width)
+    return np.asarray(np.abs(side) if either else side)
+
+
+def load_of(c: Context, frame: int, component: int, of: str = "") -> Array:
+    """A component of the wrench on a frame; of "payload": without what the machine's own bodies do."""
+    w = c.wrenches[:, frame, component]
+    return np.asarray(w - own_weight(c, frame, component)) if of == "payload" else w
+
+
+def load_side_held(c: Context, frame: int, component: int, width: float) -> Array:
+    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread."""
+    w = c.wrenches[:, frame, component]
+    return side_held(w, width * _spread(c, frame, component))
+
+
+def load_bump(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
+    """A smooth function of a component of the wrench on a frame, finest where it changes sign: the knot-th of `count`
+    Gaussian bumps over ± the root of its size."""
+    w = c.wrenches[:, frame, component]
+    at = np.sign(w) * np.sqrt(np.minimum(np.abs(w) / _most(c, frame, component), 1.0))
+    return bump((at + 1.0) / 2.0, knot, count)
+
+
+def load_slip(c: Context, frame: int, component: int, width: float) -> Array:
+    """A slipping spring (`slip`) driven by a component of the wrench on a frame, width relative to the load's spread:
+    any hysteresis of a load is a sum of such, unless it depends on how fast the load changes."""
+    w = c.wrenches[:, frame, component]
+    began = np.zeros(len(w), dtype=np.int64)  # a load comes from the side that it goes to
+    began[:1] = np.sign(w[:1])
+    return slip(w, began, width * _spread(c, frame, component))
+
+
+def load_warm(c: Context, frame: int, component: int, place: str, tau: float, width: float = 0.0) -> Array:
+    """A component of the wrench on a frame, relative to its spread, or which side the joint falls to by it (width as in
+    `load_side`), times a temperature lagged by tau hours: what gives way differently as it warms."""
+    w = c.wrenches[:, frame, component]
+    spread = _spread(c, frame, component)
+    pushed = load_side(c, frame, component, width) if width else w / spread
+    return np.asarray(pushed * temperature(c, place, tau))
+
+
+def load_legendre(c: Context, frame: int, component: int, order: int) -> Array:
+    """Legendre polynomial of a component of the wrench on a frame, −1 … 1 over what was seen: what ranks
+    (`covariate`) resolve badly at the ends."""
+    w = c.wrenches[:, frame, component]
+    low, high = c.frozen(f"least.{frame}.{component}", w.min()), c.frozen(f"greatest.{frame}.{component}", w.max())
+    scaled = np.clip((w - (low + high) / 2) / max((high - low) / 2, 1e-9), -1.0, 1.0)
+    return np.asarray(np.polynomial.legendre.legval(scaled, [0.0] * order + [1.0]))
+
+
+def _spread(c: Context, frame: int, component: int, of: str = "") -> float:
+    """Standard deviation of a component of the wrench on a frame, or of what `load_of` takes of it."""
+    key = f"spread.{frame}.{component}{'.' if of else ''}{of}"
+    return max(c.frozen(key, float(load_of(c, frame, component, of).std())), 1e-9)
+
+
+def _most(c: Context, frame: int, component: int) -> float:
+    return max(c.frozen(f"most.{frame}.{component}", float(np.abs(c.wrenches[:, frame, component]).max())), 1e-9)

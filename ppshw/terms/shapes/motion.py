@@ -1,0 +1,84 @@
+"""Functions of where a joint stands, which side it came from, and what it did since: (N,)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.history import slip, way_since_reversal, wind_up
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.covariates import bump, covariate, named_column
+
+Array = NDArray[np.float64]
+
+
+def approach(c: Context, joint: int) -> Array:
+    return c.recording.approach[:, joint].astype(float)
+
+
+def approach_q(c: Context, joint: int, power: int = 1) -> Array:
+    return c.recording.approach[:, joint] * c.u(joint) ** power
+
+
+def reversal(c: Context, joint: int, knot: int, count: int) -> Array:
+    """The side a joint came from times a smooth function of the way since it turned back: the knot-th of `count` bumps
+    over its ranks, as `covariate`."""
+    return approach(c, joint) * covariate(c, f"way_{c.machine.joint_names[joint]}", knot, count)
+
+
+def turning(c: Context, joint: int, knot: int, count: int) -> Array:
+    """As `reversal`, finest where the joint has just turned back: bumps over the root of the way since."""
+    q = c.recording.q[:, joint]
+    way = way_since_reversal(q, c.recording.approach[:, joint])
+    far = max(c.frozen(f"high.{joint}", q.max()) - c.frozen(f"low.{joint}", q.min()), 1e-9)
+    at = np.sqrt(np.minimum(way / far, 1.0))
+    return approach(c, joint) * bump(at, knot, count)
+
+
+def slipping(c: Context, joint: int, width: float, pressed: int | None = None, past: float = math.inf) -> Array:
+    """Evenly taken up; with `pressed` what is more of it where the joint is loaded more than on average; `past` how far
+    it went past where it came to from the other side."""
+    lag = slip(c.recording.q[:, joint], c.recording.approach[:, joint], width, past)
+    return lag if pressed is None else lag * _pressed(c, joint, pressed)
+
+
+def winding(c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf) -> Array:
+    """Ever more slowly; `pressed` and `past` as in `slipping`."""
+    lag = wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way, past)
+    return lag if pressed is None else lag * _pressed(c, joint, pressed)
+
+
+def _pressed(c: Context, joint: int, component: int) -> Array:
+    """By what share a joint's load is above its mean: the force upon it (-1), or what its drive holds (a component),
+    either way. Friction goes with it (Coulomb)."""
+    w = c.wrenches[:, joint + 1]
+    load = np.linalg.norm(w[:, :3], axis=1) if component < 0 else np.abs(w[:, component])
+    return np.asarray(load / max(c.frozen(f"pressed.{joint}.{component}", float(load.mean())), 1e-9) - 1.0)
+
+
+def seated(c: Context, joint: int, stay: int) -> Array:
+    """1 while a joint stays where its `stay`-th move took it, see the column stay_<joint>."""
+    return np.asarray((named_column(c, f"stay_{c.machine.joint_names[joint]}") == stay).astype(float))
+
+
+def wave(c: Context, joint: int, period: float, phase: str) -> Array:
+    angle = 2 * np.pi * c.recording.q[:, joint] / period
+    return np.asarray(np.sin(angle) if phase == "sin" else np.cos(angle))
+
+
+def wave_q(c: Context, joint: int, period: float, phase: str, by: int) -> Array:
+    """A wave along one joint's travel times another's position."""
+    return wave(c, joint, period, phase) * c.u(by)
+
+
+def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
+    """Legendre polynomials of two joints, multiplied."""
+    return c.legendre(a, power_a) * c.legendre(b, power_b)
+
+
+def product(c: Context, joints: Sequence[int]) -> Array:
+    """Positions of several joints, −1 … 1 each, multiplied."""
+    return np.asarray(np.prod([c.u(k) for k in joints], axis=0))

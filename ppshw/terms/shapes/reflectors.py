@@ -1,0 +1,35 @@
+"""Reflectors that are not where they were: (N, T, 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.covariates import covariate
+from ppshw.terms.shapes.time_and_heat import clock, step
+
+Array = NDArray[np.float64]
+
+
+def target_shift(
+    c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = "",
+    load: int = -1,
+) -> Array:  # fmt: skip
+    """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
+    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column; or in
+    proportion to a component of the sensor's wrench (by the greatest that this read)."""
+    out = np.zeros_like(c.points)
+    out[:, target] = c.tips[:, :3, axis]
+    if order:
+        out = out * clock(c, "cosine", order)[:, None, None]
+    if name:
+        out = out * covariate(c, name)[:, None, None]
+    if load >= 0:
+        read = c.recording.wrench[:, load]
+        out = out * (read / c.frozen(f"most.read.{load}", float(np.abs(read).max())))[:, None, None]
+    if since >= 0:
+        out = out * step(c, since)[:, None, None]
+    if slow:
+        out = out * (1.0 - np.exp(-np.maximum(c.hours - since, 0.0) / slow))[:, None, None]
+    return out

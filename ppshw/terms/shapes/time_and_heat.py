@@ -1,0 +1,74 @@
+"""Functions of the time and of temperatures: courses, steps, what follows a thermometer late. (N,) but where said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.terms.history import lagged
+from ppshw.terms.shapes.context import Context
+
+Array = NDArray[np.float64]
+
+
+def clock(c: Context, form: str, tau: float = 1.0) -> Array:
+    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" the τ-th over the
+    recording, "step" 1 and "ramp" t − τ from τ on."""
+    t = c.hours
+    match form:
+        case "linear":
+            return t
+        case "exponential":
+            return np.asarray(1.0 - np.exp(-t / tau))
+        case "log":
+            return np.asarray(np.log1p(t / tau))
+        case "step":
+            return step(c, tau)
+        case "ramp":
+            return np.maximum(t - tau, 0.0)
+        case "cosine":  # what wanders without a law stays where it was last seen
+            whole = max(c.frozen("hours", float(t[-1])), 1e-9)
+            return np.asarray(np.cos(np.pi * tau * np.clip(t / whole, 0.0, 1.0)))
+    raise ValueError(f"unknown course in time '{form}'")
+
+
+def clock_q(c: Context, order: int, joint: int) -> Array:
+    """A wave in time, the `order`-th half wave over the recording, times a joint's position."""
+    return clock(c, "cosine", order) * c.u(joint)
+
+
+def step(c: Context, visit_time: float) -> Array:
+    """1 from a moment on (hours since the start)."""
+    return np.asarray((c.hours >= visit_time).astype(float))
+
+
+def hopping(c: Context, times: Sequence[float]) -> Array:
+    """0 and 1 by turns: another one from each of these moments on (hours since the start, rising)."""
+    return np.asarray((np.searchsorted(times, c.hours, side="right") % 2).astype(float))
+
+
+def settling(c: Context, visit_time: float, tau: float) -> Array:
+    """e^(−(t − t₀)/τ) from a moment t₀ on: what a step loses again."""
+    late = c.hours - visit_time
+    return np.asarray(np.where(late >= 0, np.exp(-np.maximum(late, 0.0) / tau), 0.0))
+
+
+def temperature(c: Context, place: str, tau: float) -> Array:
+    values = c.recording.temperatures[place]
+    mean = c.frozen(f"mean.{place}", float(np.mean(values)))
+    return c.once(("temperature", place, tau), lambda: lagged(values, c.hours, tau) - mean)
+
+
+def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
+    return temperature(c, place, tau) * c.u(joint)
+
+
+def link_growth(c: Context, place: str, tau: float, joint: int) -> Array:
+    """(N, n+1, 6) the link behind a joint longer by a metre per metre and kelvin, towards the next joint or the tip."""
+    machine = c.machine
+    after = machine.joints[joint + 1].origin if joint + 1 < machine.n else machine.tip_in_link
+    out = np.zeros((len(c.hours), machine.n + 1, 6))
+    out[:, joint + 1, :3] = temperature(c, place, tau)[:, None] * after[:3, 3]
+    return out
