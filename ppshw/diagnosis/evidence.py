@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ppshw.diagnosis.laid import Laid, side_by_side
-from ppshw.diagnosis.library import Candidate, all_kept
+from ppshw.diagnosis.library.candidate import Candidate, all_kept
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column, Key
 

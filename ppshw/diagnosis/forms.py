@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ppshw.diagnosis.library import ANY_WAY, CREEP_H, LAGS_H, Candidate, winds_up
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
+from ppshw.diagnosis.library.lost_motion import winds_up
+from ppshw.diagnosis.library.sampled import LAGS_H
 from ppshw.terms.shapes import Column, Context
 
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.

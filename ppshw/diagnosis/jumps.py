@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.laid import Laid
-from ppshw.diagnosis.library import (
+from ppshw.diagnosis.library.jumps import (
     ORDINALS,
     Jumps,
-    moving_joints,
     shift_of_reflector,
     shift_of_zero,
     some_between,
     visits_between,
 )
+from ppshw.diagnosis.library.sampled import moving_joints
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Context
 

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from ppshw.diagnosis.library import (
-    FINELY_TWO,
+from ppshw.diagnosis.library.by_position import FINELY_TWO
+from ppshw.diagnosis.library.candidate import Candidate, all_kept
+from ppshw.diagnosis.library.sampled import (
     MOMENTS,
-    Candidate,
-    all_kept,
     loads_on,
     moments_between,
     moving_joints,

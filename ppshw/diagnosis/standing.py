@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD, counts, never_turned, of_its_kind
-from ppshw.diagnosis.library import within
+from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
 from ppshw.diagnosis.workspace import Workspace
 

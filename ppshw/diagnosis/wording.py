@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
-from ppshw.diagnosis.library import ORDINALS, Candidate
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless import most_alike
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace

@@ -13,7 +13,9 @@ from ppshw.diagnosis import standing, weights
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
 from ppshw.diagnosis.found import Found
-from ppshw.diagnosis.library import FALLS_AT, Candidate, library, own_component
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.library.by_load import FALLS_AT
+from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search

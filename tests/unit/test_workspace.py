@@ -10,7 +10,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.library import MOMENTS, library, own_component
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library.sampled import MOMENTS, own_component
 from ppshw.diagnosis.locate import covariates
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence, stand_ins

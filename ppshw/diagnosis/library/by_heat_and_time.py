@@ -1,0 +1,72 @@
+"""What goes with temperatures, or with time as what nobody measures does: thermal growth, drift."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import LAGS_H, moving_joints, own_component, temperature_places
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+
+def thermal(c: Context) -> Iterator[Candidate]:
+    for place in temperature_places(c):
+        for tau in LAGS_H:
+            args = {"place": place, "tau": tau}
+            for k, name in moving_joints(c):
+                own = own_component(c, k)
+                along = Column("frames", "link_growth", {**args, "joint": k})
+                if np.any(along.value(c)):
+                    yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", (along,), {"lag_h": tau})
+                for comp in range(6):
+                    flat = Column("frame", "temperature", args, k + 1, comp)
+                    grows = Column("frame", "temperature_q", {**args, "joint": k}, k + 1, comp)
+                    where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
+                    yield Candidate(*where, (flat,), {"lag_h": tau}, 0.5)
+                    yield Candidate(*where, (flat, grows), {"lag_h": tau}, 1.0 if comp == own else 0.2)
+                any_way = tuple(Column("frame", "temperature", args, k + 1, comp) for comp in range(6))
+                # bends and shifts, as its own shape has it
+                yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", any_way, {"lag_h": tau}, 0.2)
+    for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H[::2]):
+        for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
+            sides = tuple(
+                Column("frame", "temperature", {"place": each, "tau": tau}, k + 1, comp) for each in (place, other)
+            )
+            where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
+            yield Candidate(*where, sides, {"lag_h": tau}, 0.2)
+
+
+def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
+    forms: list[tuple[str, float]] = [("linear", 1.0)]
+    forms += [("exponential", t) for t in (0.3, 0.7, 1.5, 3.0)] + [("log", t) for t in (0.1, 0.5)]
+    for form, tau in forms:
+        all6 = tuple(Column("frame", "clock", {"form": form, "tau": tau}, 0, comp) for comp in range(6))
+        yield Candidate("drift", None, "base", None, "time", all6[:3], {"tau_h": tau}, 1.0)
+        yield Candidate("drift", None, "base", None, "time", all6, {"tau_h": tau}, 1.0)
+        for comp in range(6):
+            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", (all6[comp],), {"tau_h": tau}, 0.5)
+    for moment in moments:
+        for form in ("step", "ramp"):
+            all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
+            yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
+            yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
+        every: list[tuple[range, str | None, float]] = [(range(3), None, 0.3), (range(6), None, 0.3)]
+        every += [(range(comp, comp + 1), COMPONENTS[comp], 0.1) for comp in range(6)]
+        for comps, said, share in every:  # goes one way, then another
+            turns = tuple(
+                Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
+                for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in comps
+            )  # fmt: skip
+            yield Candidate("drift", None, "base", said, "time", turns, {"time_h": moment}, share / len(moments))
+    for order in (2, 3, 4):
+        waves = [
+            tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
+            for comp in range(6)
+        ]
+        for comp in range(6):
+            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", waves[comp], {}, 0.3)
+        yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)

@@ -1,0 +1,105 @@
+"""What the instruments read wrong: the tracker's scale, the force sensor."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import LAGS_H, temperature_places, that_act
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero
+
+
+def tracker_scale(c: Context) -> Iterator[Candidate]:
+    constant = Column("points", "scale", {})
+    yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
+    for place in temperature_places(c):
+        grows = Column("points", "scale", {"place": place})
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5)
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5)
+        # about another point than where the instrument is said to stand: everything shifts with the temperature as well
+        shifts = tuple(Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3))
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3)
+
+
+def force_sensor(c: Context) -> Iterator[Candidate]:
+    if not c.recording.has_wrench:
+        return
+    matrix = {
+        (to, source): Column("frames", "sensor_error", {"component": to, "source": source})
+        for to, source in itertools.product(range(6), repeat=2)
+    }
+    for comp in range(6):
+        where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
+        yield Candidate(*where, (Column("frames", "sensor_error", {"component": comp}),))
+        drifting = Column("frames", "sensor_error", {"component": comp, "time": "linear"})
+        yield Candidate(*where, (drifting,))
+        waves = tuple(
+            Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j}) for j in range(1, 5)
+        )
+        yield Candidate("wrench_error", None, None, None, "time", waves, share=0.5)
+        for bent in ("odd", "even", "sided"):
+            curve = Column("frames", "sensor_error", {"component": comp, "source": comp, "bent": bent})
+            yield Candidate(*where, (curve,), share=0.5)
+        yield Candidate(*where, (matrix[comp, comp], curve), share=0.3)  # another gain for pull than for push
+        for source in range(6):
+            yield Candidate(*where, (matrix[comp, source],), share=1.0 if comp == source else 0.2)
+    gain = Column("frames", "sensor_error", {"component": -1})
+    yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
+    ageing = Column("frames", "sensor_error", {"component": -1, "time": "linear"})
+    yield Candidate("wrench_error", None, None, None, "time", (ageing,), share=0.5)
+    # a calibration matrix of its own: of every channel's gain, or of all that it has
+    for some in ([matrix[k, k] for k in range(6)], [*matrix.values()]):
+        if alive := that_act(c, some):
+            yield Candidate("wrench_error", None, None, None, "load", alive)
+    zeros = tuple(
+        Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j})
+        for comp, j in itertools.product(range(6), range(1, 7))
+    )
+    if alive := that_act(c, zeros):
+        yield Candidate("wrench_error", None, None, None, "time", alive, share=0.5)
+    for source in range(3):
+        leak = tuple(matrix[m, source] for m in (3, 4, 5))
+        yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[source], leak)
+    for place in temperature_places(c):
+        for tau in LAGS_H:
+            every = tuple(
+                Column("frames", "sensor_error", {"component": comp, "place": place, "tau": tau}) for comp in range(6)
+            )
+            where = ("wrench_error", None, None, None, f"temp_{place}_C")
+            yield Candidate(*where, every, {"lag_h": tau}, 0.5)
+            by_heat = Column("frames", "sensor_error", {"component": -1, "place": place, "tau": tau})
+            yield Candidate(*where, (by_heat,), {"lag_h": tau}, 0.5)
+            for comp in range(6):
+                own = Column("frames", "sensor_error", {"component": comp, "source": comp, "place": place, "tau": tau})
+                yield Candidate(*where, (own,), {"lag_h": tau}, 0.1)
+            for column in every:
+                yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
+
+
+def force_sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
+    """A channel's zero is another from some moment on."""
+    if not c.recording.has_wrench:
+        return
+    for comp, moment in itertools.product(range(6), moments):
+        jump = Column("frames", "sensor_error", {"component": comp, "time": "step", "tau": moment})
+        where = ("wrench_error", None, None, None, WRENCH_COMPONENTS[comp])
+        yield Candidate(*where, (jump,), {"time_h": moment}, 1.0 / len(moments))
+    load = c.recording.load
+    changes = [float(c.hours[k]) for k in range(1, len(load)) if load[k] != load[k - 1]]
+    if not 2 <= len(changes) <= MOST_TARES:
+        return
+    tared = [
+        (
+            Column("frames", "sensor_error", {"component": comp}),
+            *(Column("frames", "sensor_error", {"component": comp, "time": "step", "tau": t}) for t in changes),
+        )
+        for comp in range(6)
+    ]  # tared before it began and whenever the load was changed, and each time not quite
+    for comp, columns in enumerate(tared):
+        yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[comp], columns, {}, 0.5)
+    if alive := that_act(c, tuple(itertools.chain.from_iterable(tared))):
+        yield Candidate("wrench_error", None, None, None, "since_load_change", alive, {}, 0.5)

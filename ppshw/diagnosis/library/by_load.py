@@ -1,0 +1,169 @@
+"""What a frame does under its load: stiffness out of proportion, clearance, compliance that the file has not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import elastic_frames, loads_on
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms import COMPONENTS
+from ppshw.terms.elastic import skew
+from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.loads import load_of
+
+Array = NDArray[np.float64]
+TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
+# Shares of the visits whose load is below that at which stiffness changes.
+KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
+OPENS_AT = (0.3, 0.5, 0.7, 1.0, 1.4)  # relative to a load's spread: beyond it, either way, a link is softer
+USED_UP = (0.1, 0.3)  # relative to a load's spread: widths of clearances, too
+ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
+# Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
+FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
+BALANCED = (0.35, 0.5, 0.65)  # shares of the visits below the load at which one falls that never changes sign
+
+
+def nonlinear(c: Context) -> Iterator[Candidate]:
+    for frame, name, acting in elastic_frames(c):
+        for b in acting:
+            where = {"frame": frame, "component": b}
+            # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
+            powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
+            shapes: list[tuple[str, dict[str, Any], dict[str, float], float]] = [
+                ("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers
+            ]
+            for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
+                shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
+            for function, args, shape, share in shapes:
+                for comp in range(6):
+                    yield Candidate(
+                        "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
+                        (Column("frame", function, {**where, **args}, frame, comp),), shape,
+                        share if comp == b else 0.2 * share,
+                    )  # fmt: skip
+            if _changes_side(c.wrenches[:, frame, b]):
+                for column, shape, way in _opened(c, frame, b):
+                    yield Candidate(
+                        "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, 0.5,
+                        way=way,
+                    )  # fmt: skip
+            for knees, width in _knees(c, frame, b):
+                columns = tuple(
+                    Column("frame", "load_knee", {**where, "at": at, "width": width}, frame, b) for at in knees
+                )
+                shape = dict(zip(("knee_load", "other_knee_load"), knees, strict=False))
+                yield Candidate(
+                    "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], columns, shape, 0.2
+                )
+
+
+def _opened(c: Context, frame: int, b: int) -> Iterator[tuple[Column, dict[str, float], int]]:
+    """A preload is lost beyond some load to either side, from where on a link is softer: sharply, or little by little,
+    as a clearance is used up, but against the load. Columns, their shapes and signs."""
+    where, std = {"frame": frame, "component": b}, float(c.wrenches[:, frame, b].std())
+    for at in OPENS_AT:
+        shape = {"at": at * std, "width": 0.1 * std}
+        yield Column("frame", "load_beyond", {**where, **shape}, frame, b), {"knee_load": at * std}, 1
+    for width in USED_UP:
+        side = {"width": width}
+        yield Column("frame", "load_side", {**where, **side}, frame, b), _of_load(c, frame, b, side), -1
+
+
+def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float, ...], float]]:
+    """Loads above which a link may be stiffer or softer than below, one, or two as where a bolted flange opens either
+    way; and over how much it changes [N, N m]."""
+    w = c.wrenches[:, frame, component]
+    at = [float(load) for load in np.quantile(w, KNEES_AT)]
+    for width in ROUNDED * float(w.std()):
+        yield from (((one,), float(width)) for one in at)
+        yield from ((pair, float(width)) for pair in ((at[0], at[-1]), (at[1], at[-2])))
+
+
+def clearance(c: Context) -> Iterator[Candidate]:
+    for frame in range(1, c.machine.n + 1):
+        name = c.machine.joint_names[frame - 1]
+        for b in loads_on(c, frame):
+            for function, shape, share in _falls(c, frame, b):
+                args = {"frame": frame, "component": b, **shape}
+                for comp in range(6):
+                    yield Candidate(
+                        "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
+                        (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
+                        share if comp == b else 0.1 * share, way=int(comp == b),  # with the load, never against it
+                    )  # fmt: skip
+            uneven = (0.02, 0.08, 0.17, 0.35) if _changes_side(c.wrenches[:, frame, b]) else ()
+            for wide in uneven:  # the gap is wider on one side than on the other
+                args = {"frame": frame, "component": b, "width": wide}
+                sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
+                at = COMPONENTS[b], WRENCH_COMPONENTS[b]
+                yield Candidate("clearance", name, name, *at, sides, _of_load(c, frame, b, args), 0.3, way=1)
+
+
+def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
+    """How a joint may fall to its other side by a component of its load, and the shares of these; wider ones are
+    nonlinear stiffness."""
+    w = c.wrenches[:, frame, b]
+    for wide, offset in itertools.product((0.02, 0.1, 0.3), FALLS_AT):
+        if _changes_side(w - offset * w.std()):
+            yield "load_side", {"width": wide, "offset": offset}, 1.0 if abs(offset) < 0.5 else PRELOADED
+    if not _changes_side(w):  # whatever balances the rest of it
+        middle = np.quantile(w, BALANCED) / w.std()
+        for wide, offset in itertools.product((0.1, 0.3), map(float, middle)):
+            yield "load_side", {"width": wide, "offset": offset}, PRELOADED
+    else:
+        yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
+    for of, wide in itertools.product(_of_payload(c, frame, b), (0.02, 0.1, 0.3)):
+        yield "load_side", {"width": wide, **of}, 0.5
+
+
+def _of_load(c: Context, frame: int, component: int, side: Mapping[str, Any]) -> dict[str, float]:
+    """What the width of a side, relative to its load's spread, is in N or N m."""
+    return {"load_width": side["width"] * float(load_of(c, frame, component, side.get("of", "")).std())}
+
+
+def _of_payload(c: Context, frame: int, component: int) -> list[dict[str, str]]:
+    """Where its own weight may be balanced, so that the payload alone pushes a joint over to its other side."""
+    if c.recording.has_wrench and _changes_side(load_of(c, frame, component, "payload")):
+        return [{"of": "payload"}]
+    return []
+
+
+def _changes_side(w: Array) -> bool:
+    return bool(min((w > 0).mean(), (w < 0).mean()) > 0.03)
+
+
+def missing_compliance(c: Context) -> Iterator[Candidate]:
+    for frame in range(c.machine.n + 1):
+        joint = c.machine.joints[frame - 1] if frame else None
+        name = None if joint is None else joint.name
+        known = set(joint.elastic.load_indices) if joint is not None and joint.elastic is not None else set()
+        for b in loads_on(c, frame):
+            for comp in range(6):
+                where = ("missing_compliance", name, name or "base", COMPONENTS[comp], WRENCH_COMPONENTS[b])
+                share = 1.0 if comp == b else 0.05 if skew(*sorted((comp, b))) else 0.2
+                if b not in known:
+                    args = {"frame": frame, "component": b}
+                    yield Candidate(*where, (Column("frame", "load", args, frame, comp),), {}, share)
+                if joint is not None and not (joint.elastic is not None and joint.elastic.varies):
+                    args = {"frame": frame, "component": b, "joint": frame - 1}
+                    grows = Column("frame", "load_q", args, frame, comp)
+                    yield Candidate(*where, (grows,), {}, 0.3 * share)
+                    if joint.prismatic:
+                        faster = Column("frame", "load_q", {**args, "degree": 2}, frame, comp)
+                        yield Candidate(*where, (grows, faster), {}, 0.3 * share)
+                        continue
+                    for order in (1, 2):
+                        yield Candidate(*where, tuple(
+                            Column("frame", "load_turn", {**args, "order": order, "phase": phase}, frame, comp)
+                            for phase in ("sin", "cos")
+                        ), {}, 0.15 * share)  # fmt: skip
+        acting = [b for b in loads_on(c, frame) if b not in known]
+        if len(acting) > 1:
+            diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
+            yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)

@@ -1,0 +1,83 @@
+"""What goes with joints' positions: periodic errors of a transmission, coupling of one joint to another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import moving_joints, own_component
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+# Shortest periods: a screw of 5 mm a turn; a strain wave gear of 160:1, which errs twice a turn of its generator.
+SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
+FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
+LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
+LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
+# Powers of polynomials in two positions, to the ninth order: five half waves of one where there are four of the other.
+FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
+
+
+def periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candidate]:
+    for k, name in moving_joints(c):
+        joint = c.machine.joints[k]
+        span = float(np.ptp(c.recording.q[:, k]))
+        most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
+        half_waves = np.arange(6.0, most + 1)
+        near = [2 * span / period + np.array(FINER) for joint_name, period in about if joint_name == name]
+        periods = 2 * span / np.unique(np.round(np.concatenate([half_waves, *near]), 3))
+        own = own_component(c, k)
+        yield from _single_waves(c, k, own, list(map(float, periods)))
+
+
+def periodic_across(c: Context, bands: Sequence[Candidate]) -> Iterator[Candidate]:
+    """A bent screw or shaft turns the carriage about: single waves out of bands of them."""
+    for band in bands:
+        frequencies = sorted({1 / column.args["period"] for column in band.columns})
+        step = (frequencies[-1] - frequencies[0]) / (len(frequencies) - 1) / 4
+        tried = np.arange(frequencies[0] - 2 * step, frequencies[-1] + 3 * step, step)
+        first = band.columns[0]
+        yield from _single_waves(c, first.args["joint"], first.component, list(map(float, 1 / tried[tried > 0])))
+
+
+def _single_waves(c: Context, k: int, component: int, periods: Sequence[float]) -> Iterator[Candidate]:
+    """Of joint k's position, in one component of its frame; shares alike."""
+    name = c.machine.joint_names[k]
+    for period in periods:
+        args = {"joint": k, "period": period}
+        pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, component) for p in ("sin", "cos"))
+        yield Candidate(
+            "periodic_transmission", name, name, COMPONENTS[component], f"q_{name}", pair, {"period": period},
+            share=1.0 / len(periods),
+        )  # fmt: skip
+
+
+def coupling(c: Context) -> Iterator[Candidate]:
+    for a, name in moving_joints(c):
+        for b, other in moving_joints(c):
+            if a == b:
+                continue
+            for comp in range(6):
+                for half_waves in LUMPS:
+                    args = {"joint": a, "period": 2 * float(np.ptp(c.recording.q[:, a])) / half_waves, "by": b}
+                    pair = tuple(Column("frame", "wave_q", {**args, "phase": p}, a + 1, comp) for p in ("sin", "cos"))
+                    yield Candidate(
+                        "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", pair, {}, 0.5 / len(LUMPS),
+                        (f"q_{name}", f"q_{other}"),
+                    )  # fmt: skip
+                for powers, share in (
+                    (FINELY_TWO, 0.3),
+                    (((1, 1),), 1.0), (((0, 1), (1, 1)), 0.5), (((0, 1), (0, 2)), 0.5),
+                    (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
+                    (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),
+                ):  # fmt: skip
+                    columns = tuple(
+                        Column("frame", "pair", {"a": a, "power_a": i, "b": b, "power_b": j}, a + 1, comp)
+                        for i, j in powers
+                    )
+                    yield Candidate(
+                        "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", columns, {}, share,
+                        (f"q_{name}", f"q_{other}"),
+                    )  # fmt: skip

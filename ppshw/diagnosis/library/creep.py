@@ -1,0 +1,61 @@
+"""Creep: of the whole machine, of a link, in one direction or in all, from what hung there before or from nothing."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import elastic_frames
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
+ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
+
+
+def creeping(c: Context) -> Iterator[Candidate]:
+    if len(set(c.recording.load)) < 2:
+        return
+    forms: tuple[tuple[str, float], ...] = (
+        ("exponential", 1.0), ("log", 1.0), ("last", 0.5), ("wrench", 0.5), ("total", 0.5)
+    )  # fmt: skip
+    if not c.recording.has_wrench:  # the machine's own weight is all that is known
+        forms = forms[-1:]
+    # alone, or beside one that creeps on where it has come to rest, as in load cells
+    rates: list[tuple[float, ...]] = [(tau,) for tau in CREEP_H]
+    rates += zip(CREEP_H, CREEP_H[SLOWER:], strict=False)
+    ways = [
+        (form, half, taus) for taus in rates for form, half in forms if form not in ("log", "last") or len(taus) == 1
+    ]  # fmt: skip
+    for form, half, taus in ways:
+        shape = dict(zip(("tau_h", "slow_tau_h"), taus, strict=False))
+        whole = tuple(Column("frames", "creep", {"tau": tau, "form": form}) for tau in taus)
+        yield Candidate("creep", None, None, None, "since_load_change", whole, shape, 2.0 * half)
+        for frame, name, acting in elastic_frames(c):
+            link = tuple(Column("frames", "creep", {"tau": tau, "form": form, "frame": frame}) for tau in taus)
+            yield Candidate("creep", name, name, None, "since_load_change", link, shape, half)
+            for b in acting:
+                where = {"frame": frame, "component": b, "form": form}
+                columns = tuple(Column("frame", "creeping", {**where, "tau": tau}, frame, b) for tau in taus)
+                yield Candidate(
+                    "creep", name, name, COMPONENTS[b], "since_load_change", columns, shape,
+                    half if b > 2 else 0.3 * half,
+                )  # fmt: skip
+                if len(taus) == 1 and form in ANY_WAY:  # that load bends and stretches it in other directions too
+                    where |= {"tau": taus[0]}
+                    any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
+                    yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
+
+
+def creeping_from_nothing(c: Context) -> Iterator[Candidate]:
+    """Links that creep where nothing had hung there before the recording, or something else."""
+    if len(set(c.recording.load)) < 2:
+        return
+    began = [("total", "began")] + [("exponential", "first")] * c.recording.has_wrench
+    for forms, tau, (frame, name, acting) in itertools.product(began, CREEP_H, list(elastic_frames(c))):
+        for b in acting:
+            args = {"frame": frame, "component": b, "tau": tau}
+            both = tuple(Column("frame", "creeping", {**args, "form": form}, frame, b) for form in forms)
+            yield Candidate("creep", name, name, COMPONENTS[b], "since_load_change", both, {"tau_h": tau}, 0.3)

@@ -1,0 +1,86 @@
+"""What a joint loses when it turns back: backlash and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component
+from ppshw.terms import COMPONENTS
+from ppshw.terms.history import STANDSTILL
+from ppshw.terms.shapes import Column, Context
+
+Array = NDArray[np.float64]
+# Parts of a joint's travel over which it takes up what it lost: friction winds up over a fiftieth of it or more (most
+# authors' does), play between soft walls over less. But walls give way by some gaps: where a hundredth of the travel is
+# more than SOFTEST times what a joint can have lost, that much winds up (a ninth author's friction of 0.6 to 5 %).
+WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
+SOFT_WALLS = np.array([0.002, 0.005, 0.01])
+SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file has none [m]; share of winding up so fast
+WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
+SOME_CAME_BACK = 0.03  # of the visits
+
+
+def backlash(c: Context) -> Iterator[Candidate]:
+    for k, name in moving_joints(c):
+        if not came_from_both_sides(c, k):
+            continue
+        own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
+        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
+        for width, column in _taken_up(c, k, SOFT_WALLS):
+            if not winds_up(c, k, width):
+                yield Candidate(*where, (column,), {"width": width}, 0.05)
+        sign = Column("frame", "approach", {"joint": k}, k + 1, own)
+        drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
+        worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
+        for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
+            yield Candidate(*where, columns, share=share)
+
+
+def friction(c: Context) -> Iterator[Candidate]:
+    for k, name in moving_joints(c):
+        where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
+        # where nobody knows from which side a joint came, lost motion of any kind is friction
+        parts = WINDS_UP if came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
+        if came_from_both_sides(c, k):
+            for width, column in _taken_up(c, k, SOFT_WALLS):
+                if winds_up(c, k, width):
+                    yield Candidate(*where, (column,), {"width": width}, BRIEFLY)
+        for width, column in _taken_up(c, k, parts):
+            for lag, shape, share in _went_past(c, k, column):
+                yield Candidate(*where, (lag,), {"width": width, **shape}, share)
+                for by in (-1, own_component(c, k)):
+                    more = replace(lag, args={**lag.args, "pressed": by})
+                    yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
+
+
+def winds_up(c: Context, k: int, way: float) -> bool:
+    """Whether what a joint lost and takes up over such a way is friction that winds it up: longer than soft walls are
+    for any play that the recording may show (three repeatabilities at the reflectors)."""
+    travel = float(np.ptp(c.recording.q[:, k]))
+    moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
+    lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
+    lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)
+    return way > float(np.clip(SOFTEST * lost, SOFT_WALLS[0] * travel, SOFT_WALLS[-1] * travel)) * (1 + 1e-9)
+
+
+def _went_past(c: Context, k: int, lag: Column) -> Iterator[tuple[Column, dict[str, float], float]]:
+    """A lag as it is where a joint went far past what it then came back to, and where it went a little past: visits to
+    which it came from the other side than the way from the last one says ask for it."""
+    yield lag, {}, 1.0
+    q, side = c.recording.q[:, k], c.recording.approach[:, k]
+    far = float(np.ptp(q))
+    if np.mean(np.diff(q) * side[1:] < -STANDSTILL * far) >= SOME_CAME_BACK:
+        for part in WENT_PAST:
+            yield replace(lag, args={**lag.args, "past": part * far}), {"past": part * far}, 0.2
+
+
+def _taken_up(c: Context, k: int, parts: Array) -> Iterator[tuple[float, Column]]:
+    """What a joint lost when it turned back is taken up over a part of its travel, evenly or ever more slowly."""
+    for width in map(float, float(np.ptp(c.recording.q[:, k])) * parts):
+        for function, how in (("slipping", "width"), ("winding", "way")):
+            yield width, Column("frame", function, {"joint": k, how: width}, k + 1, own_component(c, k))

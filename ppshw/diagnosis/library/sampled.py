@@ -1,0 +1,76 @@
+"""Where and when a recording can show anything: joints that move, loads that vary, temperatures, moments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ppshw.machine import Machine
+from ppshw.terms.shapes import Column, Context
+
+LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # behind a thermometer
+MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
+
+
+def own_component(c: Context, k: int) -> int:
+    """The component of its frame in which joint k moves."""
+    axis = np.abs(c.machine.joints[k].axis)
+    return int(np.argmax(axis)) + (0 if c.machine.joints[k].prismatic else 3)
+
+
+def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
+    for k, name in enumerate(c.machine.joint_names):
+        if np.ptp(c.recording.q[:, k]) > 0:
+            yield k, name
+
+
+def came_from_both_sides(c: Context, k: int) -> bool:
+    return c.recording.has_approach and len(np.unique(c.recording.approach[:, k])) > 1
+
+
+def loads_on(c: Context, frame: int) -> list[int]:
+    """Wrench components that really vary on a frame: a constant load says nothing."""
+    w = c.wrenches[:, frame]
+    size = np.abs(w).max(axis=0)
+    reference = np.array([size[:3].max()] * 3 + [size[3:].max()] * 3)
+    return [k for k in range(6) if np.ptp(w[:, k]) > 0.05 * max(reference[k], 1e-9)]
+
+
+def elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
+    """Frames of links that the machine file lets bend, their joints, and the loads that bend them and vary there."""
+    for k, joint in enumerate(c.machine.joints):
+        if joint.elastic is not None:
+            known = joint.elastic.load_indices
+            yield k + 1, joint.name, [b for b in loads_on(c, k + 1) if b in known]
+
+
+def temperature_places(c: Context) -> list[str]:
+    """Temperatures without gaps that change at all."""
+    return [p for p, t in c.recording.temperatures.items() if np.isfinite(t).all() and np.ptp(t) >= 1e-3]
+
+
+def within(machine: Machine) -> tuple[str, ...]:
+    """How columns of temperatures end that are of joints beyond the first: what warms there does not move the base."""
+    return tuple(f"temp_{name}_C" for name in machine.joint_names[1:])
+
+
+def moments_between(c: Context, most: int) -> list[float]:
+    """Moments between visits, evenly, some way from both ends [h]."""
+    count = len(c.hours)
+    return [float(t) for t in (0.5 * (c.hours[1:] + c.hours[:-1]))[8 : count - 8 : max(1, count // most)]]
+
+
+def moments_about(c: Context, about: Sequence[float]) -> list[float]:
+    """Forty moments, and all between two visits that are as near to one of `about` as its neighbours are."""
+    grid, every = np.array(moments_between(c, MOMENTS)), np.array(moments_between(c, len(c.hours)))
+    if not len(grid) or not len(about):
+        return [float(t) for t in grid]
+    away = np.min(np.abs(every[:, None] - np.array(about)), axis=1)
+    return sorted({*map(float, grid), *map(float, every[away <= 1.01 * np.diff(grid).max()])})
+
+
+def that_act(c: Context, columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Those that do anything beside the largest: a channel that reads nothing, an axis that stays plumb do not."""
+    size = [float(np.abs(column.value(c)).max()) for column in columns]
+    return tuple(column for column, most in zip(columns, size, strict=True) if most > 1e-6 * max(size))
