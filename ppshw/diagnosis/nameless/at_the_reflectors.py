@@ -1,0 +1,78 @@
+"""What reflectors, what carries them, the instrument and the air between may do."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import moving_joints, temperature_places
+from ppshw.diagnosis.nameless.rival import late_columns, nobody_knows, rival
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+AROUND = ((1, 2), (1, 6), (7, 13), (13, 25), (25, 49))  # waves to a turn of the instrument's circles
+
+
+def at_the_reflectors(c: Context) -> Iterator[Candidate]:
+    """A single reflector wanders; what carries them all swells or bends with a column, a load, a position; distances
+    are off the more aslant the beam falls in, directions by waves over the instrument's own angles; the space around it
+    is stretched, for good or with a temperature."""
+    if c.points.shape[1] > 1:
+        for t, name in enumerate(c.recording.target_names):
+            moves = tuple(
+                Column("points", "target_shift", {"target": t, "axis": a, "order": j})
+                for j, a in itertools.product(range(5), range(3))
+            )
+            yield Candidate("nameless", None, None, None, name, moves)
+        targets, axes = range(c.points.shape[1]), range(3)
+        changes = [*nobody_knows(c), *(f"temp_{place}_C" for place in temperature_places(c)), *late_columns(c)]
+        ways: list[tuple[str, dict[str, object]]] = [
+            (name, {"name": name}) for name in (*changes, *(f"q_{joint}" for _, joint in moving_joints(c)))
+        ]
+        if c.recording.has_wrench:
+            read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
+            ways += [(WRENCH_COMPONENTS[k], {"load": k}) for k in read]
+        for name, by in ways:
+            swells = [
+                Column("points", "target_shift", {"target": t, "axis": a, **by})
+                for t, a in itertools.product(targets, axes)
+            ]
+            yield rival(c, None, None, (name,), swells)
+    products = [(a, -1) for a in range(3)] + list(itertools.combinations_with_replacement(range(3), 2))
+    for target in range(-1, c.points.shape[1] if c.points.shape[1] > 1 else 0):
+        aslant = tuple(
+            Column("points", "range_error", {"first": a, "second": b, "target": target}) for a, b in products
+        )
+        yield Candidate("nameless", None, None, None, "incidence", aslant)
+    for angle in ("azimuth", "elevation"):
+        for least, most in AROUND:
+            off = tuple(
+                Column("points", "angle_error", {"angle": angle, "order": order, "phase": phase})
+                for order in range(least, most + 1) for phase in ("sin", "cos")
+            )  # fmt: skip
+            yield Candidate("nameless", None, None, None, angle, off)
+    warm = temperature_places(c)
+    for places in (*zip(warm, strict=True), *itertools.combinations(warm, 2)):
+        names = tuple(f"temp_{place}_C" for place in places)
+        bends = [
+            Column("points", "refraction", {"place": place, "part": part}) for place in places for part in range(5)
+        ]
+        yield replace(rival(c, None, None, names, bends), covariate=f"distance × {' × '.join(names)}")
+    for place in ("", *warm):
+        stretched = [
+            Column("points", "strain", {"first": a, "second": b, "place": place})
+            for a, b in itertools.combinations_with_replacement(range(3), 2)
+        ]
+        if not place:
+            yield Candidate("nameless", None, None, None, "distance", tuple(stretched))
+            continue
+        # about another point than where the instrument is said to stand: everything shifts as well
+        shifts = [Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3)]
+        for columns in (stretched, [*stretched, *shifts]):
+            yield replace(
+                rival(c, None, None, (f"temp_{place}_C",), columns), covariate=f"distance × temp_{place}_C"
+            )

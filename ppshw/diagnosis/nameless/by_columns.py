@@ -1,0 +1,114 @@
+"""Any smooth function of a column or two: at base and tip, along a joint, of what no name is about anywhere."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import loads_on, moving_joints, own_component, temperature_places, within
+from ppshw.diagnosis.nameless.rival import (
+    bumps,
+    came_from,
+    columns_of,
+    ends,
+    late_columns,
+    nobody_knows,
+    rival,
+    smooth_pair,
+    without_a_place,
+)
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes import Column, Context
+
+FROM_WITHIN = 0.05  # share of a temperature of an inner joint by which the base is said to move
+
+
+def of_one_column(c: Context) -> Iterator[Candidate]:
+    anywhere = without_a_place(c)
+    for name in [*columns_of(c), *late_columns(c)]:
+        frames = range(c.machine.n + 1) if name in anywhere else (0, c.machine.n)
+        for frame, comp in itertools.product(frames, range(6)):
+            yield rival(c, frame, comp, (name,), bumps(name, frame, comp))
+            if name in anywhere:  # where five bumps are many, in proportion
+                yield rival(c, frame, comp, (name,), (Column("frame", "covariate", {"name": name}, frame, comp),))
+
+
+def along_a_joint(c: Context) -> Iterator[Candidate]:
+    anywhere, before = without_a_place(c), came_from(c)
+    columns = [name for name in (*columns_of(c), *late_columns(c)) if name not in anywhere or name in before]
+    for k, joint in moving_joints(c):
+        frame, comp = k + 1, own_component(c, k)
+        for name in columns:
+            if name not in (f"q_{joint}", "time"):  # the base model's own, and the waves of by_time
+                if name not in before:
+                    yield rival(c, frame, comp, (f"q_{joint}", name), bumps(name, frame, comp))
+                args = {"first": name, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
+                yield rival(c, frame, comp, (f"q_{joint}", name), [
+                    Column("frame", "covariate", {"name": name}, frame, comp),
+                    Column("frame", "covariate_pair", args, frame, comp),
+                ])  # fmt: skip
+
+
+def base_in_all_directions(c: Context) -> Iterator[Candidate]:
+    """The base shifts with one column, each direction by a function of its own: nobody knows its axes. What warms
+    within the machine is unlikely to move what it stands on."""
+    slow = ("time", *nobody_knows(c), *(s for s in [*columns_of(c), *late_columns(c)] if "temp_" in s))
+    for name in slow:
+        args = {"name": name, "count": 3}
+        shifts = [Column("frame", "covariate", {**args, "knot": j}, 0, comp) for j in range(3) for comp in range(3)]
+        share = FROM_WITHIN if name.endswith(within(c.machine)) else 1.0
+        yield replace(rival(c, 0, None, (name,), shifts), share=share)
+
+
+def with_another_position(c: Context) -> Iterator[Candidate]:
+    """What a link does with a temperature, as it is or an hour late, with time, from the side that its joint came from,
+    or under its load, goes in proportion to another joint's position; what it does with something that no name is
+    about, in proportion to any joint's, its own among them."""
+    warm = [f"temp_{place}_C" for place in temperature_places(c)]
+    anywhere = [*warm, *(f"late_1_{name}" for name in warm), "time"]
+    for (k, name), (_, other) in itertools.permutations(moving_joints(c), 2):
+        frame, directions = k + 1, range(6)
+        if frame == c.machine.n:  # the tip's are below
+            continue
+        ways = [(what, comp) for what in anywhere for comp in directions]
+        if c.recording.has_wrench:
+            ways += [(f"on_{name}_{WRENCH_COMPONENTS[b]}", b) for b in loads_on(c, frame)]
+        if len(np.unique(c.recording.approach[:, k])) > 1:
+            ways += [(f"approach_{name}", comp) for comp in directions]
+        for what, comp in ways:
+            args = {"first": what, "second": f"q_{other}", "a": 0, "b": 0, "count": 1}
+            product = Column("frame", "covariate_pair", args, frame, comp)
+            yield rival(c, frame, comp, (what, f"q_{other}"), (product,))
+    strange = [*nobody_knows(c), *(f"late_1_{name}" for name in nobody_knows(c))]
+    inner = [k + 1 for k, _ in moving_joints(c) if k + 1 < c.machine.n]
+    for frame, what, (_, joint), comp in itertools.product(inner, strange, moving_joints(c), range(6)):
+        args = {"first": what, "second": f"q_{joint}", "a": 0, "b": 0, "count": 1}
+        product = Column("frame", "covariate_pair", args, frame, comp)
+        yield rival(c, frame, comp, (what, f"q_{joint}"), (product,))
+
+
+def _smooth_pairs(c: Context) -> list[tuple[str, str]]:
+    joints = [f"q_{name}" for _, name in moving_joints(c)]
+    others = ["time", *(s for s in columns_of(c) if s.startswith(("temp_", "F", "M")))]
+    loads = [s for s in others if s in WRENCH_COMPONENTS]
+    return [
+        *itertools.combinations(joints, 2), *itertools.product(joints, others),
+        *((a, b) for a in loads for b in others if b not in WRENCH_COMPONENTS),
+    ]  # fmt: skip
+
+
+def of_two_columns(c: Context) -> Iterator[Candidate]:
+    smooth = _smooth_pairs(c)
+    for first, second in smooth:
+        for frame, comp in ends(c)[6:]:
+            yield smooth_pair(c, frame, comp, first, second)
+    known = {*smooth, *((b, a) for a, b in smooth)}
+    for first, second in itertools.combinations(columns_of(c), 2):
+        for frame, comp in ends(c)[:6] if (first, second) in known else ends(c):
+            args = {"first": first, "second": second, "a": 0, "b": 0, "count": 1}
+            product = Column("frame", "covariate_pair", args, frame, comp)
+            yield rival(c, frame, comp, (first, second), (product,))

@@ -1,0 +1,99 @@
+"""What a frame does under its load, by any function of it; what hangs there is other than the sensor said."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
+from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, most_alike, rival, smooth_pair
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes import Column, Context, named_column
+
+Array = NDArray[np.float64]
+LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
+SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
+SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
+
+
+def under_load(c: Context) -> Iterator[Candidate]:
+    """What a frame does under its load: by any function of it, late, with what it was before, with a temperature."""
+    for frame in range(1, c.machine.n + 1):
+        for b in loads_on(c, frame):
+            load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
+            late = [f"late_{tau:g}_{load}" for tau in LOAD_LATE_H]
+            where = {"frame": frame, "component": b}
+            powers = [Column("frame", "load_legendre", {**where, "order": k}, frame, b) for k in range(2, 6)]
+            about_zero = [
+                Column("frame", "load_bump", {**where, "knot": k, "count": ABOUT_ZERO}, frame, b)
+                for k in range(ABOUT_ZERO)
+            ]
+            slips = [Column("frame", "load_slip", {**where, "width": w}, frame, b) for w in SLIPS]
+            sides = [Column("frame", "load_side_held", {**where, "width": w}, frame, b) for w in SIDES]
+            lagging = [Column("frame", "covariate", {"name": name}, frame, b) for name in late]
+            # what hung there before the recording is not known
+            first = [Column("frame", "settling", {"visit_time": 0.0, "tau": t}, frame, b) for t in LOAD_LATE_H]
+            found = [
+                rival(c, frame, b, (load,), bumps(load, frame, b)),
+                rival(c, frame, b, (load,), powers),
+                rival(c, frame, b, (load, late[1]), lagging),
+                rival(c, frame, b, (load, late[1]), [*lagging, *first]),
+                smooth_pair(c, frame, b, load, f"previous_{load}"),
+                rival(c, frame, b, (load,), about_zero),
+                rival(c, frame, b, (load, f"previous_{load}"), slips),
+                rival(c, frame, b, (load, f"previous_{load}"), sides),
+            ]
+            for place in temperature_places(c):
+                for tau in (0.0, 1.0):
+                    args = {**where, "place": place, "tau": tau}
+                    warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
+                    found.append(rival(c, frame, b, (load, f"temp_{place}_C"), warm))
+            yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
+
+
+def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:
+    """Where no sensor says what hangs there, a frame bears the machine's own weight (N,): what depends on it is said to
+    depend on the positions it changes with most."""
+    positions = most_alike(c, load)
+    for candidate in found:
+        beside = [name for name in candidate.covariates if name.startswith("temp_")]
+        names = (*positions[: 1 if beside else 2], *beside)
+        yield replace(candidate, covariate=" × ".join(names), covariates=names)
+
+
+def of_what_was_read(c: Context) -> Iterator[Candidate]:
+    """What hangs there is other than the sensor said, by something that goes with a temperature, up to two hours late,
+    or by a smooth function of a position or of what the sensor read besides."""
+    if not c.recording.has_wrench:
+        return
+    for place, component in itertools.product(temperature_places(c), range(6)):
+        args = {"component": component, "place": place}
+        off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]
+        yield rival(c, None, None, (WRENCH_COMPONENTS[component], f"temp_{place}_C"), off)
+    read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
+    others = [f"q_{joint}" for _, joint in moving_joints(c)] + [WRENCH_COMPONENTS[k] for k in read]
+    for component, name in itertools.product(range(6), others):
+        if name != WRENCH_COMPONENTS[component]:
+            args = {"component": component, "name": name, "count": 3}
+            yield rival(c, None, None, (WRENCH_COMPONENTS[component], name), [
+                Column("frames", "sensor_off", {**args, "knot": k}) for k in range(3)
+            ])  # fmt: skip
+    whole = [(name, "sensor_off", {"name": name, "knot": 0, "count": 1}) for name in others]
+    whole += [(f"temp_{place}_C", "sensor_error", {"place": place, "tau": 0.0}) for place in temperature_places(c)]
+    for (name, function, args), components in itertools.product(whole, (range(3), range(3, 6))):
+        leaks = [Column("frames", function, {**args, "component": k}) for k in components]
+        yield rival(c, None, None, (name,), leaks)
+
+
+def pulls(c: Context) -> Iterator[Candidate]:
+    """Something pulls at the end effector, the more the farther it reaches: hoses, cables."""
+    reach = named_column(c, "reach")
+    nearest = most_alike(c, reach)[:2]
+    for axis in range(4):
+        pull = [Column("frames", "pulled", {"axis": axis, "knot": k, "count": 3}) for k in range(3)]
+        yield replace(rival(c, None, None, ("reach",), pull), covariate=" × ".join(nearest), covariates=nearest)

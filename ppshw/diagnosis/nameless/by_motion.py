@@ -1,0 +1,83 @@
+"""What depends on how a joint came to where it is: seats, the side that it came from, its own work."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import loads_on, moving_joints, own_component, temperature_places
+from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, KNOTS, LATE_H, ends, rival
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes import Column, Context, named_column
+
+LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
+
+
+def random_seats(c: Context) -> Iterator[Candidate]:
+    """A joint comes to rest a little otherwise whenever it moves, and stays so while only others move: a brake or a
+    clamp that seats at random."""
+    for k, name in moving_joints(c):
+        stays, visits = np.unique(named_column(c, f"stay_{name}"), return_counts=True)
+        seats = stays[visits > 1]
+        if not LEAST_SEATS <= len(seats) <= MOST_SEATS:
+            continue
+        for comp in range(6):
+            at_random = [Column("frame", "seated", {"joint": k, "stay": int(s)}, k + 1, comp) for s in seats]
+            yield rival(c, k + 1, comp, (f"stay_{name}",), at_random)
+
+
+def reversals(c: Context) -> Iterator[Candidate]:
+    """What remembers from which side a joint came: the side alone, with any function of the way since, and with the
+    position."""
+    for k, name in moving_joints(c):
+        if len(np.unique(c.recording.approach[:, k])) < 2:
+            continue
+        came, way = f"approach_{name}", f"way_{name}"
+        for frame, comp in [(k + 1, own_component(c, k)), *ends(c)[6:]]:
+            side = Column("frame", "approach", {"joint": k}, frame, comp)
+            args = {"joint": k, "count": KNOTS}
+            since = [Column("frame", "reversal", {**args, "knot": j}, frame, comp) for j in range(KNOTS)]
+            where = [Column("frame", "approach_q", {"joint": k, "power": p}, frame, comp) for p in (1, 2)]
+            yield rival(c, frame, comp, (came,), (side,))
+            yield rival(c, frame, comp, (came, way), since)
+            yield rival(c, frame, comp, (came, way), (*since, *where))
+            args = {"joint": k, "count": ABOUT_ZERO}
+            yield rival(c, frame, comp, (came, way), [
+                Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
+            ])  # fmt: skip
+        own = own_component(c, k)
+        for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
+            both = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
+            yield rival(c, k + 1, own, (came, other), [
+                Column("frame", "approach", {"joint": k}, k + 1, own),
+                Column("frame", "covariate_pair", both, k + 1, own),
+            ])  # fmt: skip
+        for comp in set(range(6)) - {own_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
+            side = Column("frame", "approach", {"joint": k}, k + 1, comp)
+            where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
+            yield rival(c, k + 1, comp, (came,), (side,))
+            yield rival(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
+
+
+def _goes_along(c: Context, frame: int) -> list[str]:
+    """With what a joint's lost motion may change: temperatures, time, how long it settled, what hangs on its frame."""
+    out = [*(f"temp_{place}_C" for place in temperature_places(c)), "time"]
+    out += ["settle_s"] if np.isfinite(c.recording.settle_s).all() and np.ptp(c.recording.settle_s) > 0 else []
+    if c.recording.has_wrench:
+        out += [f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}" for b in loads_on(c, frame)]
+    return out
+
+
+def own_heat(c: Context) -> Iterator[Candidate]:
+    """A drive warms by its own work where no thermometer is."""
+    for (k, name), tau in itertools.product(moving_joints(c), LATE_H):
+        pace = f"late_{tau:g}_pace_{name}"
+        for comp in range(6):
+            args = {"first": pace, "second": f"q_{name}", "a": 0, "b": 0, "count": 1}
+            yield rival(c, k + 1, comp, (pace, f"q_{name}"), [
+                Column("frame", "covariate", {"name": pace}, k + 1, comp),
+                Column("frame", "covariate_pair", args, k + 1, comp),
+            ])  # fmt: skip

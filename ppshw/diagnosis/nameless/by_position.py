@@ -1,0 +1,63 @@
+"""Finer functions of one position than the base model has, and any of two and of three."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from ppshw.diagnosis.library.by_position import FINELY_TWO
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import moving_joints, own_component
+from ppshw.diagnosis.nameless.rival import rival, smooth_pair
+from ppshw.terms.shapes import Column, Context
+
+OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
+IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
+
+
+def finely(c: Context) -> Iterator[Candidate]:
+    """A function of one position finer than the base model's, octave by octave."""
+    for k, name in moving_joints(c):
+        span = float(np.ptp(c.recording.q[:, k]))
+        finer = [(own_component(c, k), least) for least in IN_ITS_DIRECTION]
+        for comp, least in [*itertools.product(range(6), OCTAVES), *finer]:
+            waves = [
+                Column("frame", "wave", {"joint": k, "period": 2 * span / j, "phase": phase}, k + 1, comp)
+                for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
+            ]  # fmt: skip
+            yield rival(c, k + 1, comp, (f"q_{name}",), waves)
+
+
+def of_two_positions(c: Context) -> Iterator[Candidate]:
+    """Where one of the two joints stands, by any smooth function of both; by a finer one of its own that goes in
+    proportion to the other."""
+    for (k, one), (m, other) in itertools.combinations(moving_joints(c), 2):
+        for frame, comp in itertools.product((k + 1, m + 1), range(6)):
+            if frame != c.machine.n:  # the tip's are in by_columns
+                yield smooth_pair(c, frame, comp, f"q_{one}", f"q_{other}")
+    for (k, one), (m, other) in itertools.permutations(moving_joints(c), 2):
+        for comp in range(6):
+            names = (f"q_{one}", f"q_{other}")
+            yield rival(c, k + 1, comp, names, [
+                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": 1}, k + 1, comp) for i in range(7)
+            ])  # fmt: skip
+            yield rival(c, k + 1, comp, names, [
+                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": j}, k + 1, comp)
+                for i, j in FINELY_TWO
+            ])  # fmt: skip
+            period = 2 * float(np.ptp(c.recording.q[:, k]))
+            for least in OCTAVES[:2]:
+                yield rival(c, k + 1, comp, names, [
+                    Column("frame", "wave_q", {"joint": k, "period": period / j, "phase": phase, "by": m}, k + 1, comp)
+                    for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
+                ])  # fmt: skip
+
+
+def of_three_positions(c: Context) -> Iterator[Candidate]:
+    for three in itertools.combinations([k for k, _ in moving_joints(c)], 3):
+        names = tuple(f"q_{c.machine.joint_names[k]}" for k in three)
+        for frame, comp in itertools.product((k + 1 for k in three), range(6)):
+            product = Column("frame", "product", {"joints": three}, frame, comp)
+            yield rival(c, frame, comp, names, (product,))

@@ -1,0 +1,39 @@
+"""What goes on in time by no law: it changes once, or in any rhythm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ppshw.diagnosis.library.candidate import Candidate
+from ppshw.diagnosis.library.sampled import MOMENTS, moments_between, moving_joints, own_component
+from ppshw.diagnosis.nameless.rival import ends, rival
+from ppshw.terms.shapes import Column, Context
+
+# Half waves in time that nobody names: down to half an hour in a campaign of ten, and to a third of one.
+RHYTHMS, QUICKER = 36, 64
+
+
+def _over_time(c: Context) -> list[tuple[int, int, tuple[str, ...]]]:
+    """Where what nobody names may go on in time: every joint in its own direction, base and tip; over which columns."""
+    own = [(k + 1, own_component(c, k), (f"q_{joint}", "time")) for k, joint in moving_joints(c)]
+    return [*own, *((frame, comp, ("time",)) for frame, comp in ends(c))]
+
+
+def at_a_moment(c: Context) -> Iterator[Candidate]:
+    """Something changes once, at one of some moments, and stays."""
+    for frame, comp, names in _over_time(c):
+        for moment in moments_between(c, MOMENTS):
+            yield rival(c, frame, comp, names, [Column("frame", "step", {"visit_time": moment}, frame, comp)])
+
+
+def rhythms(c: Context) -> Iterator[Candidate]:
+    for frame, comp, names in _over_time(c):
+        for most in (RHYTHMS, QUICKER):
+            waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in range(1, most + 1)]
+            yield rival(c, frame, comp, names, waves)
+    for k, name in moving_joints(c):
+        places = [(frame, comp, RHYTHMS) for frame, comp in ends(c)]
+        places += [(k + 1, comp, QUICKER) for comp in range(6) if k + 1 < c.machine.n]
+        for frame, comp, most in places:
+            waves = [Column("frame", "clock_q", {"order": j, "joint": k}, frame, comp) for j in range(1, most + 1)]
+            yield rival(c, frame, comp, (f"q_{name}", "time"), waves)
