@@ -39,7 +39,7 @@ def _class(c: Context, column: Column) -> str | None:
     if column.function in ("slipping", "winding"):
         way = float(column.args["width" if column.function == "slipping" else "way"])
         return "friction_hysteresis" if winds_up(c, int(column.args["joint"]), way) else "backlash"
-    if column.function == "load_side" and column.args["width"] > WIDEST_SIDE:
+    if column.function == "load_side" and column.args["width"] > WIDEST_SIDE and not column.args.get("hard"):
         return "nonlinear_stiffness"
     return OF_CLASS.get(column.function)
 

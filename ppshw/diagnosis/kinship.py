@@ -11,6 +11,7 @@ from collections.abc import Collection
 
 from ppshw.diagnosis.library import Candidate
 from ppshw.machine import Machine
+from ppshw.terms import COMPONENTS
 
 # A function of a link's own load that is finest where it changes sign may be clearance. It may say so much more than a
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
@@ -79,6 +80,9 @@ def counts(named: Candidate, rival: Candidate) -> float:
         return WOUND_UP if here and rival.covariates == since else 1.0
     if named.effect != "backlash" or rival.covariates[:1] != (named.covariate,):
         return 1.0
+    sideways = COMPONENTS.index(rival.component) if rival.component else None
+    if len(rival.covariates) == 1 and sideways in [column.component for column in named.columns[1:]]:
+        return 1.0  # what rocks sideways alone is a cable
     winds_up = any(name.startswith("way_") for name in rival.covariates)  # as friction does
     return 1.0 if here and (winds_up or len(rival.covariates) == 1) else ALWAYS
 

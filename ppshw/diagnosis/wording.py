@@ -102,6 +102,9 @@ def column_of(covariate: str) -> tuple[str, str]:
 def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
     """The columns by which something without a name is said, and what of them: those it is a function of; where these
     are none of the recording's, as with how the instrument sees a reflector, the positions it changes with most."""
+    half_waves = {column.args["tau"] for column in candidate.columns if column.args.get("form") in ("cosine", "sine")}
+    if candidate.covariates == ("time",) and len(half_waves) == 1:
+        return [("time", f"in waves of {120 * c.hours[-1] / half_waves.pop():.3g} min")]
     if candidate.covariates:
         return [column_of(name) for name in candidate.covariates]
     if candidate.covariate in c.recording.target_names:
@@ -134,6 +137,9 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
     if candidate.effect == "backlash":
         names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
         names[1:] = ["drag", "wear"][: len(names) - 1]
+        if _rocks(candidate):
+            across = COMPONENTS[candidate.columns[-1].component]
+            names[1], factors[1], units[1] = f"rocking_{across}", -2.0, "m" if across.startswith("t") else "rad"
     elif candidate.effect == "periodic_transmission":
         amplitude = float(np.hypot(values[0], values[1]))
         spread = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
@@ -271,7 +277,8 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
-        "backlash": f"{joint} lags behind by {amount} whenever it turns back: lost motion in its drive ({size}).",
+        "backlash": f"{joint} lags behind by {amount}{_rocks(candidate)} whenever it turns back: lost motion in its "
+        f"drive ({size}).",
         "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
         f"{amount}: friction before sliding ({size}).",
         "thermal_growth": f"{joint} moves with {candidate.covariate}: its link grows or bends with heat ({size}).",
@@ -305,6 +312,11 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
     return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
+
+
+def _rocks(candidate: Candidate) -> str:
+    across = [column.component for column in candidate.columns if COMPONENTS[column.component] != candidate.component]
+    return f" and rocks ({COMPONENTS[across[0]]})" if across else ""
 
 
 def _hose(candidate: Candidate) -> str:

@@ -21,8 +21,9 @@ from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import caster_of
 from ppshw.diagnosis.weights import MAY_BE_PLAY, OUTSIDE, _soft_walls
-from ppshw.diagnosis.wording import finding, parameters_of
+from ppshw.diagnosis.wording import finding, parameters_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
 
@@ -735,3 +736,61 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     assert _best(tried, found[0]).covariate == "My"
     said = finding(there, tried, found[0])["parameters"]
     assert set(said) == {"My_by_My", "My_by_My_sided"}
+
+
+@pytest.mark.parametrize(("own", "stands"), [(1.0, True), (0.0, False)])
+def test_a_carriage_may_rock_as_it_loses_motion_but_what_only_rocks_is_a_cable(
+    space: Workspace, own: float, stands: bool
+) -> None:
+    k = space.machine.joint_names.index(NAME)
+    along = _on_the_joint(space, "approach")
+    across = replace(along, component=next(comp for comp in (3, 4, 5) if comp != along.component))
+    there = _with(_with(space, along, 2.0 * own), across, 2.0)
+    found, tried = _search(there, ["backlash", "friction_hysteresis"], NAME)
+    assert [f.name for f in found] == [("backlash", NAME) if stands else ("nameless", None)]
+    if stands:
+        said = finding(there, tried, found[0])
+        rocking = f"rocking_{COMPONENTS[across.component]}"
+        assert {name: p["unit"] for name, p in said["parameters"].items()} == {"gap": "rad", rocking: "rad"}
+        assert "rocks" in said["sentence"]
+        assert _best(tried, found[0]).columns[1].frame == k + 1
+
+
+def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(space: Workspace) -> None:
+    """A square wave of no whole number of half waves in the recording; twelve visits long."""
+    minutes = 60 * float(space.context.hours[-1]) / len(space.context.hours) * 12.3
+    on = np.sign(np.sin(2 * np.pi * 60 * space.context.hours / minutes + 0.4))
+    moved = (space.context.jacobian[:, :, 0, :3] @ np.array([0.5, 1.0, -0.3])) * on[:, None]
+    moved *= 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = _search(there, ["drift", "creep"], "time")
+    assert [f.name[0] for f in found] == ["nameless"]
+    ((column, said),) = stand_ins(space.context, _best(tried, found[0]))
+    assert (column, said.split()[-1]) == ("time", "min")
+    assert float(said.split()[-2]) == pytest.approx(minutes, rel=0.06)
+
+
+def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_of_its_load_s_spread(
+    space: Workspace,
+) -> None:
+    frame, component = space.machine.joint_names.index("longitudinal") + 1, 5
+    load = space.context.wrenches[:, frame, component]
+    fallen = np.clip((load - 0.1 * load.std()) / (0.55 * load.std()), -1.0, 1.0)
+    moved = space.context.jacobian[:, :, frame, component] * fallen[:, None]
+    moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    assert [f.name for f in found] == [("clearance", "longitudinal")]
+    best = _best(tried, found[0]).columns[0].args
+    assert best["hard"]
+    assert best["width"] in (0.5, 0.7)  # the grid's next to 0.55
+
+
+def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(space: Workspace) -> None:
+    off = np.array([-30.0, 40.0, 25.0, 15.0, -9.0, 12.0])  # N, N m
+    zeros = [Column("frames", "sensor_error", {"component": comp}).evaluate(space.context) for comp in range(6)]
+    moved = np.einsum("knt,k->nt", np.array(zeros), off)
+    moved *= 4e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
+    assert [f.name[0] for f in found] == ["wrench_error"]
+    said = parameters_of(_best(tried, found[0]), np.ones(6), np.ones(6))
+    assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}

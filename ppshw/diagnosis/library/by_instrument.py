@@ -55,12 +55,14 @@ def force_sensor(c: Context) -> Iterator[Candidate]:
     for some in ([matrix[k, k] for k in range(6)], [*matrix.values()]):
         if alive := that_act(c, some):
             yield Candidate("wrench_error", None, None, None, "load", alive)
-    zeros = tuple(
+    constant = tuple(Column("frames", "sensor_error", {"component": comp}) for comp in range(6))
+    walking = tuple(
         Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": j})
         for comp, j in itertools.product(range(6), range(1, 7))
     )
-    if alive := that_act(c, zeros):
-        yield Candidate("wrench_error", None, None, None, "time", alive, share=0.5)
+    for covariate, zeros in (("load", constant), ("time", walking)):  # of all channels at once
+        if alive := that_act(c, zeros):
+            yield Candidate("wrench_error", None, None, None, covariate, alive, share=0.5)
     for source in range(3):
         leak = tuple(matrix[m, source] for m in (3, 4, 5))
         yield Candidate("wrench_error", None, None, None, WRENCH_COMPONENTS[source], leak)

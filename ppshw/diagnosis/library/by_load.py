@@ -26,6 +26,9 @@ USED_UP = (0.1, 0.3)  # relative to a load's spread: widths of clearances, too
 ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
+# Widths, relative to the load's spread, over which it falls little by little, wider ones being nonlinear stiffness; and
+# over which it falls in proportion to its load, and no farther, about these loads.
+SIDES, STOPS, STOPS_ABOUT = (0.02, 0.1, 0.3), (0.3, 0.5, 0.7), (-0.3, -0.15, 0.0, 0.15, 0.3)
 BALANCED = (0.35, 0.5, 0.65)  # shares of the visits below the load at which one falls that never changes sign
 
 
@@ -70,8 +73,7 @@ def _opened(c: Context, frame: int, b: int) -> Iterator[tuple[Column, dict[str, 
     for at in OPENS_AT:
         shape = {"at": at * std, "width": 0.1 * std}
         yield Column("frame", "load_beyond", {**where, **shape}, frame, b), {"knee_load": at * std}, 1
-    for width in USED_UP:
-        side = {"width": width}
+    for side in [*({"width": width} for width in USED_UP), *({"width": width, "hard": True} for width in STOPS)]:
         yield Column("frame", "load_side", {**where, **side}, frame, b), _of_load(c, frame, b, side), -1
 
 
@@ -91,7 +93,7 @@ def clearance(c: Context) -> Iterator[Candidate]:
         for b in loads_on(c, frame):
             for function, shape, share in _falls(c, frame, b):
                 args = {"frame": frame, "component": b, **shape}
-                for comp in range(6):
+                for comp in (b,) if "hard" in shape else range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
@@ -106,19 +108,22 @@ def clearance(c: Context) -> Iterator[Candidate]:
 
 
 def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
-    """How a joint may fall to its other side by a component of its load, and the shares of these; wider ones are
-    nonlinear stiffness."""
+    """How a joint may fall to its other side by a component of its load, and the shares of these."""
     w = c.wrenches[:, frame, b]
-    for wide, offset in itertools.product((0.02, 0.1, 0.3), FALLS_AT):
+    for offset in FALLS_AT:
         if _changes_side(w - offset * w.std()):
-            yield "load_side", {"width": wide, "offset": offset}, 1.0 if abs(offset) < 0.5 else PRELOADED
+            share = 1.0 if abs(offset) < 0.5 else PRELOADED
+            yield from (("load_side", {"width": wide, "offset": offset}, share) for wide in SIDES)
+    for wide, offset in itertools.product(STOPS, STOPS_ABOUT):
+        if _changes_side(w - offset * w.std()):
+            yield "load_side", {"width": wide, "offset": offset, "hard": True}, 0.5
     if not _changes_side(w):  # whatever balances the rest of it
         middle = np.quantile(w, BALANCED) / w.std()
         for wide, offset in itertools.product((0.1, 0.3), map(float, middle)):
             yield "load_side", {"width": wide, "offset": offset}, PRELOADED
     else:
         yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
-    for of, wide in itertools.product(_of_payload(c, frame, b), (0.02, 0.1, 0.3)):
+    for of, wide in itertools.product(_of_payload(c, frame, b), SIDES):
         yield "load_side", {"width": wide, **of}, 0.5
 
 

@@ -29,7 +29,7 @@ def backlash(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         if not came_from_both_sides(c, k):
             continue
-        own = own_component(c, k)  # what pulls sideways, a cable, is no lost motion
+        own = own_component(c, k)  # what pulls sideways alone, a cable, is no lost motion
         where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for width, column in _taken_up(c, k, SOFT_WALLS):
             if not winds_up(c, k, width):
@@ -39,6 +39,10 @@ def backlash(c: Context) -> Iterator[Candidate]:
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
             yield Candidate(*where, columns, share=share)
+        for comp in range(6):
+            if comp != own:  # a carriage that rocks as it turns back
+                rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)
+                yield Candidate(*where, (sign, rocks), share=0.02)
 
 
 def friction(c: Context) -> Iterator[Candidate]:

@@ -11,6 +11,9 @@ from ppshw.terms.shapes import Column, Context
 
 # Half waves in time that nobody names: down to half an hour in a campaign of ten, and to a third of one.
 RHYTHMS, QUICKER = 36, 64
+# Half waves over the recording of a beat of one period that moves the base (a compressor, an air conditioning): from so
+# few to one in every so many visits, and to so many where a recording is long.
+SLOWEST_BEAT, VISITS_A_HALF, MOST_BEATS = 20, 2, 240
 
 
 def _over_time(c: Context) -> list[tuple[int, int, tuple[str, ...]]]:
@@ -31,6 +34,14 @@ def rhythms(c: Context) -> Iterator[Candidate]:
         for most in (RHYTHMS, QUICKER):
             waves = [Column("frame", "clock", {"form": "cosine", "tau": j}, frame, comp) for j in range(1, most + 1)]
             yield rival(c, frame, comp, names, waves)
+    quickest = min(len(c.hours) // VISITS_A_HALF, MOST_BEATS)
+    for order in range(SLOWEST_BEAT, quickest + 1):
+        beat = [
+            Column("frame", "clock", {"form": form, "tau": order}, 0, comp)
+            for comp in range(6) for form in ("cosine", "sine")
+        ]  # fmt: skip
+        yield rival(c, 0, None, ("time",), beat)
+        yield from (rival(c, 0, comp, ("time",), beat[2 * comp : 2 * comp + 2]) for comp in range(6))
     for k, name in moving_joints(c):
         places = [(frame, comp, RHYTHMS) for frame, comp in ends(c)]
         places += [(k + 1, comp, QUICKER) for comp in range(6) if k + 1 < c.machine.n]

@@ -50,14 +50,17 @@ def load_beyond(c: Context, frame: int, component: int, at: float, width: float)
 
 
 def load_side(
-    c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "", either: bool = False
+    c: Context, frame: int, component: int, width: float, offset: float = 0.0, of: str = "", either: bool = False,
+    hard: bool = False,
 ) -> Array:  # fmt: skip
     """Which side a joint falls to: −1 … 1, saturating; width and offset relative to that load's spread.
 
     of      "payload": by what the payload does to it alone, as if its own weight were balanced
     either  how far from the middle, to whichever side: 0 … 1; beside the former, a gap that is wider on one side
+    hard    in proportion to the load until it lies on that side, and no farther
     """
-    side = np.tanh((load_of(c, frame, component, of) / _spread(c, frame, component, of) - offset) / width)
+    at = (load_of(c, frame, component, of) / _spread(c, frame, component, of) - offset) / width
+    side = np.clip(at, -1.0, 1.0) if hard else np.tanh(at)
     return np.asarray(np.abs(side) if either else side)
 
 

@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 
 def clock(c: Context, form: str, tau: float = 1.0) -> Array:
-    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" the τ-th over the
-    recording, "step" 1 and "ramp" t − τ from τ on."""
+    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" and "sine" of τ half
+    waves over the recording, "step" 1 and "ramp" t − τ from τ on."""
     t = c.hours
     match form:
         case "linear":
@@ -28,9 +28,10 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
             return step(c, tau)
         case "ramp":
             return np.maximum(t - tau, 0.0)
-        case "cosine":  # what wanders without a law stays where it was last seen
+        case "cosine" | "sine":  # what wanders without a law stays where it was last seen
             whole = max(c.frozen("hours", float(t[-1])), 1e-9)
-            return np.asarray(np.cos(np.pi * tau * np.clip(t / whole, 0.0, 1.0)))
+            turned = np.pi * tau * np.clip(t / whole, 0.0, 1.0)
+            return np.asarray(np.cos(turned) if form == "cosine" else np.sin(turned))
     raise ValueError(f"unknown course in time '{form}'")
 
 
