@@ -794,3 +794,24 @@ def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(sp
     assert [f.name[0] for f in found] == ["wrench_error"]
     said = parameters_of(_best(tried, found[0]), np.ones(6), np.ones(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}
+
+
+def test_what_two_joints_sides_do_together_is_said_in_both(space: Workspace) -> None:
+    args = {"first": "approach_yaw", "second": "approach_lateral", "a": 0, "b": 0, "count": 1}
+    together = Column("frame", "covariate_pair", args, space.machine.joint_names.index("roll") + 1, 4)
+    found, tried = _search(_with(space, together, 3.0), ["backlash", "friction_hysteresis"], "yaw")
+    assert [f.name[0] for f in found] == ["nameless"]
+    assert {column for column, _ in stand_ins(space.context, _best(tried, found[0]))} == {
+        "approach_yaw", "approach_lateral",
+    }  # fmt: skip
+
+
+def test_a_guide_that_wears_where_it_is_used_does_not_grow_with_a_temperature(space: Workspace) -> None:
+    """Its error grows with time, by a shape over its own position."""
+    c, k = space.context, space.machine.joint_names.index("longitudinal")
+    at = (c.recording.q[:, k] - c.recording.q[:, k].min()) / np.ptp(c.recording.q[:, k])
+    moved = c.jacobian[:, :, k + 1, 4] * (c.hours / c.hours[-1] * np.cos(5.0 * at + 0.7))[:, None]
+    moved *= 1.5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = _search(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
+    assert {f.name[0] for f in found} == {"nameless"}
+    assert set(_best(tried, found[0]).covariates) == {"q_longitudinal", "time"}

@@ -106,6 +106,9 @@ def of_two_columns(c: Context) -> Iterator[Candidate]:
     for first, second in smooth:
         for frame, comp in ends(c)[6:]:
             yield smooth_pair(c, frame, comp, first, second)
+    for k, name in moving_joints(c):  # a guide wears
+        for comp in range(6) if k + 1 < c.machine.n else ():
+            yield smooth_pair(c, k + 1, comp, f"q_{name}", "time")
     known = {*smooth, *((b, a) for a, b in smooth)}
     for first, second in itertools.combinations(columns_of(c), 2):
         for frame, comp in ends(c)[:6] if (first, second) in known else ends(c):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 
 LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
+SELDOM = 0.1  # share of what two joints' sides do together, by which of them there are many
 
 
 def random_seats(c: Context) -> Iterator[Candidate]:
@@ -60,6 +62,12 @@ def reversals(c: Context) -> Iterator[Candidate]:
             where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
             yield rival(c, k + 1, comp, (came,), (side,))
             yield rival(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
+    sides = [f"approach_{name}" for k, name in moving_joints(c) if len(np.unique(c.recording.approach[:, k])) > 1]
+    for one, other in itertools.combinations(sides, 2):  # both together say how something seats
+        product = {"first": one, "second": other, "a": 0, "b": 0, "count": 1}
+        for frame, comp in itertools.product(range(1, c.machine.n + 1), range(6)):
+            seats = rival(c, frame, comp, (one, other), (Column("frame", "covariate_pair", product, frame, comp),))
+            yield replace(seats, share=SELDOM)
 
 
 def _goes_along(c: Context, frame: int) -> list[str]:
