@@ -815,3 +815,17 @@ def test_a_guide_that_wears_where_it_is_used_does_not_grow_with_a_temperature(sp
     found, tried = _search(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
     assert {f.name[0] for f in found} == {"nameless"}
     assert set(_best(tried, found[0]).covariates) == {"q_longitudinal", "time"}
+
+
+def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor(space: Workspace) -> None:
+    c, k = space.context, space.machine.joint_names.index("longitudinal") + 1
+    air = c.recording.temperatures["air"]
+    bent = np.einsum("nab,nb->na", c.compliance[:, k], c.wrenches[:, k]) * (air - air.mean())[:, None]
+    moved = np.einsum("nia,na->ni", c.jacobian[:, :, k], bent)
+    moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    some = ["thermal_growth", "wrench_error", "creep"]
+    found, tried = _search(replace(space, data=space.data + moved), some, "longitudinal")
+    assert [f.name[0] for f in found] == ["nameless"]
+    assert _best(tried, found[0]).columns[0].function == "softened"
+    (_, where), (warm, _) = stand_ins(c, _best(tried, found[0]))
+    assert (where, warm) == ("on longitudinal", "temp_air_C")

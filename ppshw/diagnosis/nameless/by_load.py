@@ -22,7 +22,8 @@ SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something 
 
 
 def under_load(c: Context) -> Iterator[Candidate]:
-    """What a frame does under its load: by any function of it, late, with what it was before, with a temperature."""
+    """What a frame does under its load: by any function of it, late, with what it was before, with a temperature;
+    and all its loads alike with a temperature."""
     for frame in range(1, c.machine.n + 1):
         for b in loads_on(c, frame):
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
@@ -54,6 +55,20 @@ def under_load(c: Context) -> Iterator[Candidate]:
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
                     found.append(rival(c, frame, b, (load, f"temp_{place}_C"), warm))
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
+        if (most := _bends_most(c, frame)) is None:
+            continue
+        for place, tau in itertools.product(temperature_places(c), (0.0, 1.0)):
+            softer = [Column("frames", "softened", {"frame": frame, "place": place, "tau": tau})]
+            load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[most]}"
+            found = [rival(c, frame, None, (load, f"temp_{place}_C"), softer)]
+            yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, most])
+
+
+def _bends_most(c: Context, frame: int) -> int | None:
+    """The component of a frame's load by which its compliance moves the reflectors most; None where it has none."""
+    moves = np.einsum("nia,nab->nib", c.jacobian[:, :, frame], c.compliance[:, frame])
+    size = (moves * c.wrenches[:, None, frame]).std(axis=0).sum(axis=0)
+    return int(np.argmax(size)) if size.max() > 0 else None
 
 
 def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:

@@ -9,7 +9,7 @@ from ppshw.terms.history import side_held, slip
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.covariates import bump
 from ppshw.terms.shapes.time_and_heat import temperature
-from ppshw.terms.shapes.wrenches import own_weight
+from ppshw.terms.shapes.wrenches import deflection, own_weight
 
 Array = NDArray[np.float64]
 
@@ -100,6 +100,14 @@ def load_warm(c: Context, frame: int, component: int, place: str, tau: float, wi
     spread = _spread(c, frame, component)
     pushed = load_side(c, frame, component, width) if width else w / spread
     return np.asarray(pushed * temperature(c, place, tau))
+
+
+def softened(c: Context, frame: int, place: str, tau: float) -> Array:
+    """(N, n+1, 6) a frame's whole deflection, as stiff as the calibration has it, times a temperature lagged by tau
+    hours: a link that gets softer in all directions alike as it warms."""
+    out = np.zeros_like(c.wrenches)
+    out[:, frame] = deflection(c, c.wrenches)[:, frame] * temperature(c, place, tau)[:, None]
+    return out
 
 
 def load_legendre(c: Context, frame: int, component: int, order: int) -> Array:
