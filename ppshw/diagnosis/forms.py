@@ -73,11 +73,12 @@ def _thermal(c: Context, k: Candidate) -> list[Column]:
             Column("frame", "temperature", {**args, "tau": tau}, each.frame, each.component)
             for each in k.columns for tau in LAGS_H[:-1]
         ]  # fmt: skip
-    out = []
-    for tau in LAGS_H[:-1]:
-        out.append(_on(k, "temperature", place=args["place"], tau=tau))
-        out.append(_on(k, "temperature_q", place=args["place"], tau=tau, joint=joint))
-    return out
+    places = dict.fromkeys(column.args["place"] for column in k.columns)  # where one side is warmer than the other: two
+    lagging = [{"place": place, "tau": tau} for place in places for tau in LAGS_H[:-1]]
+    return [
+        *(_on(k, "temperature", **late) for late in lagging),
+        *(_on(k, "temperature_q", **late, joint=joint) for late in lagging),
+    ]
 
 
 def _drift(c: Context, k: Candidate) -> list[Column]:

@@ -37,8 +37,10 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate or at_once(tried, candidate, other)
         alike = candidate.effect == other.effect and candidate.covariate == other.covariate
-        if by_load and not same_joint and not alike and _left_there(tried, other) < SAME_EFFECT * evidence:
+        if by_load and not same_joint and not alike and _left_there(tried, other, "on_") < SAME_EFFECT * evidence:
             by_load = same_cause = False
+        if candidate.joint != other.joint and candidate.frame != other.frame:  # elsewhere, over this joint's position
+            same_joint = same_joint and _left_there(tried, other) >= SAME_EFFECT * evidence
         riddle = other.effect == "nameless" and of_a_riddle(candidate, other)
         # what a base that wanders leaves may by chance go with a temperature
         wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate
@@ -54,16 +56,16 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
     return None
 
 
-def _left_there(tried: Tried, other: Candidate) -> float:
-    """Log evidence of the best function of the load that a finding bears, at its own place: what its form leaves of it
-    is one. Infinite for what acts at no single place."""
+def _left_there(tried: Tried, other: Candidate, over: str = "") -> float:
+    """Log evidence of the best function without a name at a finding's own place, over columns that begin so (the load
+    that it bears): what its form leaves is one. Infinite for what acts at no single place."""
     if other.joint is None:
         return math.inf
     evidence, _ = tried.said()
     there = [
         j for j, k in enumerate(tried.candidates)
         if k.effect == "nameless" and k.frame == other.frame and other.component in (None, k.component)
-        and k.covariates[0].startswith("on_")
+        and k.covariates[0].startswith(over)
     ]  # fmt: skip
     return max((float(evidence[j]) for j in there), default=math.inf)
 

@@ -19,7 +19,7 @@ from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
-from ppshw.diagnosis.shadows import caster_of
+from ppshw.diagnosis.shadows import SHADOW, caster_of
 from ppshw.diagnosis.weights import MAY_BE_PLAY, OUTSIDE, _soft_walls
 from ppshw.diagnosis.wording import finding, parameters_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -829,3 +829,18 @@ def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor
     assert _best(tried, found[0]).columns[0].function == "softened"
     (_, where), (warm, _) = stand_ins(c, _best(tried, found[0]))
     assert (where, warm) == ("on longitudinal", "temp_air_C")
+
+
+def test_what_another_joint_does_over_its_position_is_no_shadow_of_what_leaves_nothing_at_its_own_place(
+    space: Workspace,
+) -> None:
+    k, other = (space.machine.joint_names.index(name) for name in (NAME, "vertical"))
+    loud = Column("frame", "load_power", {"frame": k + 1, "component": 3, "exponent": 2.0}, k + 1, 3)
+    quiet = Column("frame", "pair", {"a": other, "power_a": 0, "b": k, "power_b": 2}, other + 1, 2)
+    some = _named(space, "nonlinear_stiffness", "cross_coupling") + [
+        j for j in _named(space, "nameless") if j.frame in (NAME, "vertical")
+    ]
+    there = _with(_with(space, loud, 8.0), quiet, 2.0)
+    found = search(there, Tried(there, some, 5e-5), np.random.default_rng(0))
+    assert {f.name[0] for f in found} == {"nonlinear_stiffness", "cross_coupling"}
+    assert next(f.first for f in found if f.name[0] == "cross_coupling") < SHADOW * found[0].first

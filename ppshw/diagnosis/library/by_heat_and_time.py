@@ -31,7 +31,7 @@ def thermal(c: Context) -> Iterator[Candidate]:
                 any_way = tuple(Column("frame", "temperature", args, k + 1, comp) for comp in range(6))
                 # bends and shifts, as its own shape has it
                 yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", any_way, {"lag_h": tau}, 0.2)
-    for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H[::2]):
+    for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H):
         for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
             sides = tuple(
                 Column("frame", "temperature", {"place": each, "tau": tau}, k + 1, comp) for each in (place, other)
