@@ -3,7 +3,7 @@
     python -m benchmarks.visibility [--short]
 
 (a) Shares. Of every sealed case the true field is laid through the workspace that `diagnose` ends with, and against
-    `prove_score.bound`, which knows the noise, told the base model's strengths from the same recording without the
+    `prove.score.bound`, which knows the noise, told the base model's strengths from the same recording without the
     effect. Of every name in three of the recordings, the effect taken away: the share that the row says of its typical
     form against the same field under the noise as it was drawn.
 (b) Sizes. The typical form of every name at the size said, in those three recordings, under the rule of the search's
@@ -39,7 +39,7 @@ from ppshw.diagnosis.visibility import Sight, across, directions, displaced, evi
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.kinematics import frames, point_jacobian, point_positions
 from ppshw.machine import Machine, load_machine
-from ppshw.prove_score import bound
+from ppshw.prove.score import bound
 from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
 

@@ -16,8 +16,8 @@ import pytest
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
-from ppshw.prove_score import SealBroken, bound, judge, least_left, open_seal, score_case, score_of
-from ppshw.prove_table import half_power, share, summarise
+from ppshw.prove.score import SealBroken, bound, judge, least_left, open_seal, score_case, score_of
+from ppshw.prove.table import half_power, share, summarise
 from ppshw.recording import load_recording
 from ppshw.terms.shapes import Column, Context
 from simulators.chain import read_chain

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 
 from ppshw.errors import BadInput, PpshwError
-from ppshw.prove_page import write_page
-from ppshw.prove_score import Json, judge, read_answer, score_case
-from ppshw.prove_table import summarise
+from ppshw.prove.page import write_page
+from ppshw.prove.score import Json, judge, read_answer, score_case
+from ppshw.prove.table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
 from ppshw.whole_file import write_text
 

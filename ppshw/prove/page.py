@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ppshw.prove_table import percent, points, single
+from ppshw.prove.table import percent, points, single
 from ppshw.report.picture import AFTER, FAINT, MARK, Picture, canvas
 
 Json = dict[str, Any]
