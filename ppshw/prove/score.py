@@ -16,6 +16,7 @@ Nobody who does not know the form beforehand can do better.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -40,11 +41,12 @@ from ppshw.kinematics import frames, point_jacobian, point_positions
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
-from ppshw.terms.shapes import Context
+from ppshw.terms.shapes import Column, Context, Key
 
 Array = NDArray[np.float64]
 CLASSES = 35  # names that compete for a finding: the effects, times the joints they may sit in, roughly
 ATTAINABLE = 0.02  # below it, the share that was realised of an improvement is a share of nothing
+MOST_FORMS = 40  # of each of several names
 NOISE_EFFECTS = ("outliers", "unsettled")  # scatter, not bias: the bound does not apply
 Json = dict[str, Any]
 
@@ -81,16 +83,16 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
     told = [{k: v for k, v in e.items() if k != "field_nm"} for e in truth["effects"]]
     for e, strength in zip(told, strengths, strict=True):
         e.update(strength if e["effect"] not in NOISE_EFFECTS else dict.fromkeys(strength))
-        e["sqrt_lambda_left"] = None
     predictable = not any(e["effect"] in NOISE_EFFECTS for e in told)
-    wrong = set(judge(told, answer)["wrong"])
-    if len(told) == 1 and predictable and wrong:
-        given = {(f["effect"], f["joint"]) for f in answer["findings"] if f["effect"] in wrong}
-        told[0]["sqrt_lambda_left"] = least_left(machine, recording, base, fields[0][: len(recording)], truth, given)
+    judged = judge(told, answer)
+    left = None
+    if predictable and told and (judged["wrong"] or not all(judged["named"])):
+        given = {(f["effect"], f["joint"]) for f in answer["findings"]}
+        left = least_left(machine, recording, base, np.sum(fields, axis=0)[: len(recording)], truth, given)
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)
-    return {**score_of(truth, told, answer, gained, seconds), "visits": len(recording)}
+    return {**score_of(truth, told, answer, gained, seconds), "visits": len(recording), "sqrt_lambda_left": left}
 
 
 def score_of(truth: Json, told: Sequence[Json], answer: Json, gained: Json | None, seconds: float) -> Json:
@@ -227,37 +229,43 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
 def least_left(
     machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, names: Collection[Name]
 ) -> float | None:  # fmt: skip
-    """The least √λ, as in `bound`, that the true field leaves beside any single form of the library's grid of one of
-    these effects at these joints (of several names the least), its coefficients free: below half power's 3.2 nobody
-    could have told that name from the truth by this recording. None where the library has no form of them.
+    """The least √λ, as in `bound`, that the true field leaves beside one form of the library's grid of each of these
+    effects at these joints, coefficients free: below half power's 3.2 nobody could have told them from the truth by
+    this recording. √λ itself beside no name; None where the library has no form of one of them.
 
-    field  (N, T, 3) how the true effect moves the reflectors [m]
+    Of several names, the MOST_FORMS of each are tried together that leave least by themselves: what is left is no more.
+
+    field  (N, T, 3) how all true effects together move the reflectors [m]
     """
     white = _whiten(machine, recording, base, field, truth)
     context = Context.of(base.model, base.theta, recording, base.measuring_in_base)
+    forms: dict[Name, list[list[int]]] = {name: [] for name in names}
+    place: dict[Key, int] = {}
+    columns: list[Column] = []
+    for candidate in library(context) if names else ():
+        if (candidate.effect, candidate.joint) in forms:
+            columns += [column for column in candidate.columns if column.key not in place]
+            which = [place.setdefault(column.key, 1 + len(place)) for column in candidate.columns]
+            forms[candidate.effect, candidate.joint].append(which)
+    if not all(forms.values()):
+        return None
+    laid = [np.linalg.solve(white.lower, k.evaluate(context)[..., None]).reshape(-1) for k in columns]
+    both = np.column_stack([white.field, *laid])
+    both[:, 1:] /= np.maximum(np.linalg.norm(both[:, 1:], axis=0), 1e-30)
+    # scores and information of the field and all columns, base free within its priors
     scaled = white.design * white.prior
     information = scaled.T @ scaled
     information[np.diag_indices_from(information)] += 1.0
-    lower = np.linalg.cholesky(information)
+    taken = solve_triangular(np.linalg.cholesky(information), scaled.T @ both, lower=True)
+    matrix = both.T @ both - taken.T @ taken
 
-    def beside_the_base(columns: Array) -> Array:
-        """Scores and information of the field and of columns (R, K), base free within its priors: (1 + K, 1 + K)."""
-        both = np.column_stack([white.field, columns])
-        taken = solve_triangular(lower, scaled.T @ both, lower=True)
-        return np.asarray(both.T @ both - taken.T @ taken)
+    def left(which: Sequence[int]) -> float:
+        score, among = matrix[0, which], matrix[np.ix_(which, which)]
+        fitted = np.linalg.lstsq(among, score, rcond=1e-9)[0]
+        return math.sqrt(max(0.0, float(matrix[0, 0] - score @ fitted)))
 
-    least: float | None = None
-    for candidate in library(context):
-        if (candidate.effect, candidate.joint) not in names:
-            continue
-        laid = np.stack([k.evaluate(context).reshape(len(recording), -1) for k in candidate.columns], axis=2)
-        columns = np.linalg.solve(white.lower, laid).reshape(len(white.field), -1)
-        length = np.linalg.norm(columns, axis=0)
-        matrix = beside_the_base(columns[:, length > 0] / length[length > 0])
-        fitted = np.linalg.lstsq(matrix[1:, 1:], matrix[1:, 0], rcond=1e-9)[0]
-        here = math.sqrt(max(0.0, float(matrix[0, 0] - matrix[0, 1:] @ fitted)))
-        least = here if least is None else min(least, here)
-    return least
+    some = [sorted(each, key=left)[: MOST_FORMS if len(forms) > 1 else None] for each in forms.values()]
+    return min(left(list(itertools.chain.from_iterable(one))) for one in itertools.product(*some))
 
 
 def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> _White:

@@ -30,7 +30,8 @@ def summarise(scores: Sequence[Json]) -> Json:
         "bars": [*_bars(scores), _removed_bar(removed)],
         "removed": [{"effect": s["spec"]["without"], "form": s["truth"][0]["form"], "names": s["wrong"],
                      "unexplained": s["answer"].get("unexplained") is not None,
-                     **{k: s["truth"][0].get(k) for k in ("sqrt_lambda", "sqrt_lambda_left")}} for s in removed],
+                     "sqrt_lambda": s["truth"][0].get("sqrt_lambda"),
+                     "sqrt_lambda_left": s.get("sqrt_lambda_left")} for s in removed],
         "effects": _by_effect(scores),
         "strengths": _by_strength(scores),
         "half_power": half_power(*points(scores)),
@@ -80,12 +81,17 @@ def _bars(scores: Sequence[Json]) -> list[Json]:
         )
     ]
     for size, wanted in ((0.5, 0.65), (1.0, 0.85), (2.0, 0.95)):
-        bars.append(_bar(f"effect of {size:g} × repeatability: right name", "at least", wanted,
-                         [s["named"][0] for s in single(scores, size)], _bound(single(scores, size))))  # fmt: skip
+        mine = single(scores, size)
+        bar = _bar(f"effect of {size:g} × repeatability: right name", "at least", wanted,
+                   [s["named"][0] for s in mine], _bound(mine))  # fmt: skip
+        bars.append(_with_what_is_left(bar, [s for s in mine if not s["named"][0]]))
     bars += [
         _bar("effect of 1 × repeatability: right joint when named", "at least", 0.95,
              [s["joint_right"][0] for s in single(scores, 1.0) if s["named"][0]]),
-        _bar("pair, 1 × each: both named", "at least", 0.75, [all(s["named"]) for s in pairs], _bound(pairs)),
+        _with_what_is_left(
+            _bar("pair, 1 × each: both named", "at least", 0.75, [all(s["named"]) for s in pairs], _bound(pairs)),
+            [s for s in pairs if not all(s["named"])],
+        ),
         _bar("outside the catalogue, 1 ×: unexplained, or a fair neighbour", "at least", 0.85,
              [s["unknown_ok"] for s in strangers]),
         _bar("outside the catalogue, 1 ×: located", "at least", 0.80, [s["located"][0] for s in strangers]),
@@ -116,10 +122,15 @@ def _removed_bar(removed: Sequence[Json]) -> Json:
     """Other names for what has none; and how many of them leave so little of the truth that no recording tells."""
     other = [bool(set(s["wrong"]) - {s["spec"]["without"]}) for s in removed]
     bar = _bar("its name taken out of the library: another name", "at most", 0.10, other)
-    left = [s["truth"][0].get("sqrt_lambda_left") for s, wrong in zip(removed, other, strict=True) if wrong]
+    return _with_what_is_left(bar, [s for s, wrong in zip(removed, other, strict=True) if wrong])
+
+
+def _with_what_is_left(bar: Json, amiss: Sequence[Json]) -> Json:
+    """A bar that also says of how many of its answers that were not right nobody could have told by the recording."""
+    left = [s.get("sqrt_lambda_left") for s in amiss]
     bar["nobody_could_tell"] = sum(k is not None and k < HALF_POWER for k in left)
-    if any(other):
-        bar["text"] += f"; {bar['nobody_could_tell']} leave √λ < {HALF_POWER:g}"
+    if amiss:
+        bar["text"] += f"; of the rest {bar['nobody_could_tell']} leave √λ < {HALF_POWER:g}"
     return bar
 
 

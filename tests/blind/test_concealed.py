@@ -404,8 +404,8 @@ def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
     spec = {"without": "backlash"}
 
     def scored(left: float) -> list[dict[str, Any]]:
-        told = [{**truth, "sqrt_lambda_left": left}]
-        return [{"spec": spec, **score_of(about, told, answer, None, 1.0)} for answer in (wrong, unexplained)]
+        more = {"spec": spec, "sqrt_lambda_left": left}
+        return [{**more, **score_of(about, [truth], answer, None, 1.0)} for answer in (wrong, unexplained)]
 
     table = summarise(scored(7.5))
     bars = by_name(table)
@@ -413,7 +413,7 @@ def test_a_case_whose_name_was_taken_out_counts_for_that_bar_alone() -> None:
     assert (out["hits"], out["nobody_could_tell"], len(table["removed"])) == (1, 0, 2)
     alike = by_name(summarise(scored(2.0)))["its name taken out of the library: another name"]
     assert (alike["hits"], alike["nobody_could_tell"], alike["met"]) == (1, 1, "no")
-    assert alike["text"].endswith("; 1 leave √λ < 3.2")
+    assert alike["text"].endswith("; of the rest 1 leave √λ < 3.2")
     assert bars["√λ beside priors ≥ 6: detected"]["met"] == "open"
     assert bars["effect of 1 × repeatability: right name"]["met"] == "open"
     assert {c.effect == c.without for c in removed_deck(20, 3)} == {True}
@@ -489,7 +489,7 @@ def test_a_wrong_name_is_scored_with_what_it_leaves(tmp_path: Path) -> None:
     found = score_case(case, tmp_path / "sealed", answer, None, 1.0)
     assert found["wrong"] == ["thermal_growth"]
     (truth,) = found["truth"]
-    assert 0.0 < truth["sqrt_lambda_left"] < truth["sqrt_lambda"]
+    assert 0.0 < found["sqrt_lambda_left"] < truth["sqrt_lambda"]
     assert found["held_out"]["rms_after_mm"] == found["held_out"]["rms_before_mm"]
 
 
@@ -520,6 +520,11 @@ def test_the_bound_grows_with_the_effect_and_sees_nothing_of_what_the_base_model
     assert jump < 0.2 * whole  # moments are tried on a grid
     assert 0.2 * whole < growth < whole
     assert left("zero_shift", "no such joint") is None
+    # beside nothing all of it is left; beside two names no more than beside either
+    assert least_left(machine, recording, base, moved, truth, set()) == pytest.approx(whole, rel=1e-6)
+    two = least_left(machine, recording, base, moved, truth, {("zero_shift", "yaw"), ("thermal_growth", "yaw")})
+    assert two is not None
+    assert two <= jump * (1 + 1e-6)
     still = np.broadcast_to([3e-5, 0.0, 1e-5], field.shape)  # the whole base shifted: the model's own constant
     assert bound(machine, recording, base, still, truth)["sqrt_lambda_free"] < 1e-3
     # pure noise of the plant's own, whitened: one per coordinate, whatever is projected away makes it less
