@@ -87,8 +87,8 @@ def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None,
     judged = judge(told, answer)
     left = None
     if predictable and told and (judged["wrong"] or not all(judged["named"])):
-        given = {(f["effect"], f["joint"]) for f in answer["findings"]}
-        left = least_left(machine, recording, base, np.sum(fields, axis=0)[: len(recording)], truth, given)
+        shown = [field[: len(recording)] for field in fields]
+        left = left_by_answer(machine, recording, base, shown, truth, answer, judged)
     gained = None
     if later is not None and predictable:
         gained = held_out_gain(machine, recording, later, base, fields, calibration)
@@ -227,15 +227,16 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
 
 
 def least_left(
-    machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, names: Collection[Name]
+    machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json, names: Collection[Name],
+    known: Sequence[Array] = (),
 ) -> float | None:  # fmt: skip
-    """The least √λ, as in `bound`, that the true field leaves beside one form of the library's grid of each of these
+    """The least √λ, as in `bound`, that a true field leaves beside one form of the library's grid of each of these
     effects at these joints, coefficients free: below half power's 3.2 nobody could have told them from the truth by
     this recording. √λ itself beside no name; None where the library has no form of one of them.
 
     Of several names, the MOST_FORMS of each are tried together that leave least by themselves: what is left is no more.
 
-    field  (N, T, 3) how all true effects together move the reflectors [m]
+    field  (N, T, 3) how true effects move the reflectors [m];  known  the same of others, which are there in any case
     """
     white = _whiten(machine, recording, base, field, truth)
     context = Context.of(base.model, base.theta, recording, base.measuring_in_base)
@@ -245,12 +246,13 @@ def least_left(
     for candidate in library(context) if names else ():
         if (candidate.effect, candidate.joint) in forms:
             columns += [column for column in candidate.columns if column.key not in place]
-            which = [place.setdefault(column.key, 1 + len(place)) for column in candidate.columns]
+            which = [place.setdefault(column.key, 1 + len(known) + len(place)) for column in candidate.columns]
             forms[candidate.effect, candidate.joint].append(which)
     if not all(forms.values()):
         return None
     laid = [np.linalg.solve(white.lower, k.evaluate(context)[..., None]).reshape(-1) for k in columns]
-    both = np.column_stack([white.field, *laid])
+    others = [np.linalg.solve(white.lower, k.reshape(len(k), -1, 1)).reshape(-1) for k in known]
+    both = np.column_stack([white.field, *others, *laid])
     both[:, 1:] /= np.maximum(np.linalg.norm(both[:, 1:], axis=0), 1e-30)
     # scores and information of the field and all columns, base free within its priors
     scaled = white.design * white.prior
@@ -259,13 +261,30 @@ def least_left(
     taken = solve_triangular(np.linalg.cholesky(information), scaled.T @ both, lower=True)
     matrix = both.T @ both - taken.T @ taken
 
-    def left(which: Sequence[int]) -> float:
+    def left(forms: Sequence[int]) -> float:
+        which = [*range(1, 1 + len(known)), *forms]
         score, among = matrix[0, which], matrix[np.ix_(which, which)]
         fitted = np.linalg.lstsq(among, score, rcond=1e-9)[0]
         return math.sqrt(max(0.0, float(matrix[0, 0] - score @ fitted)))
 
     some = [sorted(each, key=left)[: MOST_FORMS if len(forms) > 1 else None] for each in forms.values()]
     return min(left(list(itertools.chain.from_iterable(one))) for one in itertools.product(*some))
+
+
+def left_by_answer(
+    machine: Machine, recording: Recording, base: Estimate, fields: Sequence[Array], truth: Json, answer: Json,
+    judged: Json,
+) -> float | None:  # fmt: skip
+    """What an answer that is amiss leaves of the truth, `least_left`: all of it beside one form of every name given, or
+    what has no name there beside what has and one form of every wrong name; the less of the two."""
+    given = {(f["effect"], f["joint"]) for f in answer["findings"]}
+    out = [least_left(machine, recording, base, np.sum(fields, axis=0), truth, given)]
+    missed = [field for field, named in zip(fields, judged["named"], strict=True) if not named]
+    if missed:
+        known = [field for field, named in zip(fields, judged["named"], strict=True) if named]
+        wrong = {name for name in given if name[0] in judged["wrong"]}
+        out.append(least_left(machine, recording, base, np.sum(missed, axis=0), truth, wrong, known))
+    return min((one for one in out if one is not None), default=None)
 
 
 def _whiten(machine: Machine, recording: Recording, base: Estimate, field: Array, truth: Json) -> _White:
