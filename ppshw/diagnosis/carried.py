@@ -200,7 +200,8 @@ def _held_words(space: Workspace, candidate: Candidate, f: Found) -> dict[str, A
         "std": [],
         "region": {"time": [float(hours[0]), float(hours[-1])]},
         "log_evidence": f.evidence,
-        "sentence": "what depends on time is carried without a name, as it was, and held where it was at the end.",
+        "sentence": "what depends on time is carried without a name, as it was, and held where it was at the end; "
+        "waves of one period are left out there.",
     }  # fmt: skip
 
 

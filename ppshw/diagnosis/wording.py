@@ -102,9 +102,8 @@ def column_of(covariate: str) -> tuple[str, str]:
 def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
     """The columns by which something without a name is said, and what of them: those it is a function of; where these
     are none of the recording's, as with how the instrument sees a reflector, the positions it changes with most."""
-    half_waves = {column.args["tau"] for column in candidate.columns if column.args.get("form") in ("cosine", "sine")}
-    if candidate.covariates == ("time",) and len(half_waves) == 1:
-        return [("time", f"in waves of {120 * c.hours[-1] / half_waves.pop():.3g} min")]
+    if str(candidate.columns[0].args.get("form")).startswith("beat_"):
+        return [("time", f"in waves of {120 * c.hours[-1] / candidate.columns[0].args['tau']:.3g} min")]
     if candidate.covariates:
         return [column_of(name) for name in candidate.covariates]
     if candidate.covariate in c.recording.target_names:

@@ -768,6 +768,9 @@ def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(
     ((column, said),) = stand_ins(space.context, _best(tried, found[0]))
     assert (column, said.split()[-1]) == ("time", "min")
     assert float(said.split()[-2]) == pytest.approx(minutes, rel=0.06)
+    beat, c = _best(tried, found[0]).columns[0], space.context
+    assert np.abs(beat.value(c)).max() > 0.9
+    assert not beat.value(replace(c, hours=c.hours + 36.0)).any()  # where it is then nobody knows
 
 
 def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_of_its_load_s_spread(

@@ -38,7 +38,7 @@ def rhythms(c: Context) -> Iterator[Candidate]:
     for order in range(SLOWEST_BEAT, quickest + 1):
         beat = [
             Column("frame", "clock", {"form": form, "tau": order}, 0, comp)
-            for comp in range(6) for form in ("cosine", "sine")
+            for comp in range(6) for form in ("beat_cos", "beat_sin")
         ]  # fmt: skip
         yield rival(c, 0, None, ("time",), beat)
         yield from (rival(c, 0, comp, ("time",), beat[2 * comp : 2 * comp + 2]) for comp in range(6))

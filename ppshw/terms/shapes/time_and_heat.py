@@ -14,8 +14,12 @@ Array = NDArray[np.float64]
 
 
 def clock(c: Context, form: str, tau: float = 1.0) -> Array:
-    """Time since the start: "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "cosine" and "sine" of τ half
-    waves over the recording, "step" 1 and "ramp" t − τ from τ on."""
+    """Time since the start.
+
+    form  "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "step" 1 and "ramp" t − τ from τ on;
+          "cosine" of τ half waves over the recording, held where it was at its end;
+          "beat_cos" and "beat_sin" of as many, 0 beyond it
+    """
     t = c.hours
     match form:
         case "linear":
@@ -28,10 +32,13 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
             return step(c, tau)
         case "ramp":
             return np.maximum(t - tau, 0.0)
-        case "cosine" | "sine":  # what wanders without a law stays where it was last seen
+        case "cosine":  # what wanders without a law stays where it was last seen
             whole = max(c.frozen("hours", float(t[-1])), 1e-9)
-            turned = np.pi * tau * np.clip(t / whole, 0.0, 1.0)
-            return np.asarray(np.cos(turned) if form == "cosine" else np.sin(turned))
+            return np.asarray(np.cos(np.pi * tau * np.clip(t / whole, 0.0, 1.0)))
+        case "beat_cos" | "beat_sin":  # where a beat is later, nobody knows
+            whole = max(c.frozen("hours", float(t[-1])), 1e-9)
+            wave = np.cos if form == "beat_cos" else np.sin
+            return np.asarray(wave(np.pi * tau * t / whole) * ((t >= 0.0) & (t <= whole)))
     raise ValueError(f"unknown course in time '{form}'")
 
 
