@@ -80,8 +80,8 @@ def counts(named: Candidate, rival: Candidate) -> float:
         return WOUND_UP if here and rival.covariates == since else 1.0
     if named.effect != "backlash" or rival.covariates[:1] != (named.covariate,):
         return 1.0
-    sideways = COMPONENTS.index(rival.component) if rival.component else None
-    if len(rival.covariates) == 1 and sideways in [column.component for column in named.columns[1:]]:
+    beside = [COMPONENTS[column.component] for column in named.columns[1:]]
+    if len(rival.covariates) == 1 and rival.component in beside:
         return 1.0  # what rocks sideways alone is a cable
     winds_up = any(name.startswith("way_") for name in rival.covariates)  # as friction does
     return 1.0 if here and (winds_up or len(rival.covariates) == 1) else ALWAYS

@@ -261,14 +261,16 @@ def least_left(
     taken = solve_triangular(np.linalg.cholesky(information), scaled.T @ both, lower=True)
     matrix = both.T @ both - taken.T @ taken
 
-    def left(forms: Sequence[int]) -> float:
-        which = [*range(1, 1 + len(known)), *forms]
+    def left(some: Sequence[int]) -> float:
+        which = [*range(1, 1 + len(known)), *some]
         score, among = matrix[0, which], matrix[np.ix_(which, which)]
         fitted = np.linalg.lstsq(among, score, rcond=1e-9)[0]
         return math.sqrt(max(0.0, float(matrix[0, 0] - score @ fitted)))
 
-    some = [sorted(each, key=left)[: MOST_FORMS if len(forms) > 1 else None] for each in forms.values()]
-    return min(left(list(itertools.chain.from_iterable(one))) for one in itertools.product(*some))
+    tried = list(forms.values())
+    if len(tried) > 1:
+        tried = [sorted(each, key=left)[:MOST_FORMS] for each in tried]
+    return min(left(list(itertools.chain.from_iterable(one))) for one in itertools.product(*tried))
 
 
 def left_by_answer(
