@@ -45,6 +45,7 @@ ROUNDING = 1e-9  # of a Cholesky factor's diagonal
 CHUNK = 512  # candidates at a time
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
+State = frozenset[tuple[Key, float]]  # what is taken up, with its prior standard deviations
 
 
 @dataclass
@@ -99,6 +100,7 @@ class Tried:
         effects = {effect: e for e, effect in enumerate(dict.fromkeys(effect for effect, _ in self.names))}
         self._effect_of = np.array([effects[effect] for effect, _ in self.names])
         self._nameless = np.array([effect == "nameless" for effect, _ in self.names])
+        self._said: dict[State | None, tuple[Array, Array]] = {}
         self._crossed: dict[Key, Single] = {}
         self._values: dict[Key, tuple[Array, Array, Array]] = {}
         self.laid = Laid(space, columns)
@@ -118,24 +120,43 @@ class Tried:
     def update(self, taken: Sequence[Key] = ()) -> None:
         """Account for what the workspace has taken up now.
 
-        taken  the columns' keys, where a search comes back to them: what is known of a column is not worked out again
+        taken  the columns' keys, where a search comes back to them: what is known of a column, and what was said beside
+               all of them, is not worked out again
         """
         space = self.space
-        if not taken:
-            self._cross = self.laid.product(space.absorbed)  # (K, f)
-        else:
-            new = [k for k, key in enumerate(taken) if key not in self._crossed]
-            for k, product in zip(new, self.laid.product(space.absorbed[:, new]).T, strict=True):
-                self._crossed[taken[k]] = product.astype(np.float32)
-            self._cross = np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
-        if not len(space.middle):
-            self._info = self._info0
-            return
-        units = np.sqrt(np.diag(space.middle))  # kilograms stand beside radians
-        lengths, turn = np.linalg.eigh(space.middle / units[:, None] / units)
+        self._middle, self._absorbed = space.middle, space.absorbed
+        unknown = len(space.middle) > 0 and not taken
+        self._state = None if unknown else frozenset(zip(taken, space.taken_prior.tolist(), strict=True))
+        self._taken = tuple(taken)
+        self._beside: list[Array] | None = None
+        self._crossing: Array | None = None
+
+    @property
+    def _cross(self) -> Array:
+        """(K, f) what the columns have to do with those that are taken up; worked out when it is asked for."""
+        if self._crossing is None:
+            self._crossing = self._crossed_with(self._taken) if self._taken else self.laid.product(self._absorbed)
+        return self._crossing
+
+    def _crossed_with(self, taken: Sequence[Key]) -> Array:
+        new = [k for k, key in enumerate(taken) if key not in self._crossed]
+        for k, product in zip(new, self.laid.product(self._absorbed[:, new]).T, strict=True):
+            self._crossed[taken[k]] = product.astype(np.float32)
+        return np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
+
+    @property
+    def _info(self) -> list[Array]:
+        """ZᵀV⁻¹Z of every candidate beside what is taken up, batch by batch; worked out when it is asked for."""
+        if self._beside is None:
+            self._beside = self._informed() if len(self._middle) else self._info0
+        return self._beside
+
+    def _informed(self) -> list[Array]:
+        units = np.sqrt(np.diag(self._middle))  # kilograms stand beside radians
+        lengths, turn = np.linalg.eigh(self._middle / units[:, None] / units)
         along = (self._cross * units) @ (turn * np.sqrt(np.maximum(lengths, 0.0)))  # (K, f)
         squares = np.einsum("kf,kf->k", along, along)
-        self._info = [np.empty_like(info) for info in self._info0]
+        out = [np.empty_like(info) for info in self._info0]
         parts = [
             (k, slice(at, at + CHUNK))
             for k, batch in enumerate(self._batches) for at in range(0, len(batch.which), CHUNK)
@@ -149,9 +170,10 @@ class Tried:
             else:
                 w = along[columns]  # (C, k, f)
                 absorbed = w @ np.swapaxes(w, 1, 2)
-            np.subtract(self._info0[k][part], absorbed, out=self._info[k][part])
+            np.subtract(self._info0[k][part], absorbed, out=out[k][part])
 
         side_by_side(of_part, range(len(parts)))
+        return out
 
     def value(self, column: Column) -> tuple[Array, Array, Array]:
         """What a column does to the reflectors per unit, worked out once: (N, 3T) in metres; whitened, and that less
@@ -231,8 +253,7 @@ class Tried:
 
     def scores(self) -> Array:
         """Zᵀ V⁻¹ y of every column, what was taken up included in V: (K,)."""
-        space = self.space
-        return self._plain_scores - self._cross @ (space.middle @ (space.absorbed.T @ space.y))
+        return self._plain_scores - self._cross @ (self._middle @ (self._absorbed.T @ self.space.y))
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
@@ -253,9 +274,16 @@ class Tried:
         return int(np.argmax(np.where(self._effect_of == int(np.argmax(said)), names, -np.inf)))
 
     def said(self) -> tuple[Array, Array]:
-        """Log evidence of all candidates (C,) and of all names, beside what is taken up."""
+        """Log evidence of all candidates (C,) and of all names, beside what is taken up; not to be written to."""
+        if self._state in self._said:
+            return self._said[self._state]
         evidence = self.evidence(self.scores()[None])
-        return evidence[0], self.by_name(evidence)[0]
+        said = evidence[0], self.by_name(evidence)[0]
+        for each in said:
+            each.flags.writeable = False
+        if self._state is not None:
+            self._said[self._state] = said
+        return said
 
     def name(self, candidate: int) -> Name:
         """The name of the candidate at an index."""
@@ -278,7 +306,7 @@ class Tried:
         signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
         turned = (signs[:, :, None] * residual).reshape(draws, -1).T
         scores = self.laid.product(space.absorb(turned))
-        scores -= self._cross @ (space.middle @ (space.absorbed.T @ turned))
+        scores -= self._cross @ (self._middle @ (self._absorbed.T @ turned))
         return np.asarray(self.by_name(self.evidence(scores.T)).max(axis=1))
 
 

@@ -267,7 +267,7 @@ def across(tried: Tried, along: Array) -> Array:
 def evidence_alone(tried: Tried, scores: Array) -> Array:
     """(D, C) evidence given the base model alone, whatever was taken up since."""
     alone = copy.copy(tried)
-    alone._info = tried._info0
+    alone._beside = tried._info0
     return alone.evidence(scores)
 
 
@@ -275,12 +275,12 @@ def evidence_of(tried: Tried, name: Name, scores: Array) -> Array:
     """(D,) evidence of one name alone, given the base model alone, for scores (D, K) of all columns."""
     mine = tried.name_of == tried.names.index(name)
     alone = copy.copy(tried)
-    alone._batches, alone._info = [], []
+    alone._batches, alone._beside = [], []
     for batch, info in zip(tried._batches, tried._info0, strict=True):
         inside = mine[batch.which]
         if inside.any():
             alone._batches.append(replace(batch, which=batch.which[inside], columns=batch.columns[inside]))
-            alone._info.append(info[inside])
+            alone._beside.append(info[inside])
     return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + tried.log_share[mine], axis=1))
 
 

@@ -33,7 +33,8 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
     for f in found:
         others = [g for g in found if g is not f]
         take_up(space, tried, others)
-        every, evidence = tried.said()
+        every, names = tried.said()
+        evidence = names.copy()
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:
             best = tried.strongest(every, top)

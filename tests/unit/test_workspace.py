@@ -455,14 +455,21 @@ def test_a_name_s_evidence_is_the_mean_of_its_forms_and_known_columns_weigh_the_
     tried = Tried(space, some, 5e-5)
     taken = next(k for k in some if k.effect == "backlash").columns + some[-1].columns
     values = np.stack([k.evaluate(tried.space.context) for k in taken], axis=2)
-    space.take_up(values, np.full(len(taken), 1e-4))
-    for _ in range(2):  # the second time nothing is worked out again
-        tried.update([k.key for k in taken])
-    evidence = tried.evidence(tried.scores()[None])
+    keys = [k.key for k in taken]
+
+    def beside(prior: float) -> np.ndarray:
+        space.take_up(values, np.full(len(taken), prior))
+        tried.update(keys)
+        return tried.said()[0]
+
+    first, wider, again = beside(1e-4), beside(1e-2), beside(1e-4)
+    assert again is first  # nothing is worked out again
+    assert np.abs(wider - first).max() > 0.1
     tried.update()
     afresh = tried.evidence(tried.scores()[None])
     space.forget()
-    assert np.allclose(evidence, afresh, rtol=1e-4, atol=1e-3)
+    assert np.allclose(first, afresh[0], rtol=1e-4, atol=1e-3)
+    evidence = first[None]
     said = tried.by_name(evidence)[0]
     for j, name in enumerate(tried.names):
         mine = tried.name_of == j
