@@ -297,9 +297,9 @@ def test_the_lock_of_a_run_that_was_killed_is_gone_with_it(desk: Path) -> None:
 # --- the program -----------------------------------------------------------------------------------------------------
 def test_a_library_s_warning_does_not_reach_the_terminal() -> None:
     """Python prints warnings of loggers that nobody configured; stderr is for our one line alone."""
-    code = ("import sys, logging, warnings\nfrom ppshw import cli\n"
+    code = ("import sys, logging, warnings\nfrom ppshw.cli import main, parser\n"
             "def noisy(a): logging.getLogger('canopen').warning('overrun'); warnings.warn('old')\n"
-            "cli.check = noisy; sys.argv = ['ppshw', 'check', '--site', 's']; sys.exit(cli.main())")  # fmt: skip
+            "parser.check = noisy; sys.argv = ['ppshw', 'check', '--site', 's']; sys.exit(main())")  # fmt: skip
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 

@@ -1,0 +1,74 @@
+"""The command line: the composition root. One function per subcommand, nothing clever; parser.py has them all.
+
+Exit codes: 0 success, 1 a failed run, 2 bad input. What went wrong is one line on stderr. Answers go to stdout, and
+with --json nothing else does; prompts and progress go to stderr.
+"""
+
+from __future__ import annotations
+
+import ppshw.process  # noqa: F401  # isort: skip  before numpy comes in with the rest
+
+import errno
+import logging
+import os
+import re
+import signal
+import sqlite3
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from ppshw.cli.parser import STUDIES as _STUDIES  # noqa: F401  a test compares it with the catalogue
+from ppshw.cli.parser import build_parser
+from ppshw.errors import PpshwError
+
+# What the system says of a path that the user gave; any other OSError is a run that failed.
+_BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG,
+             errno.ELOOP, errno.EROFS, errno.EINVAL}  # fmt: skip
+_NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    if argv is None:
+        argv = sys.argv[1:]
+        _as_a_program()
+    # a leading space keeps argparse from taking -1e-3 or -0.1,2 for an option
+    arguments = build_parser().parse_args([f" {word}" if _NEGATIVE.fullmatch(word) else word for word in argv])
+    try:
+        arguments.function(arguments)
+        sys.stdout.flush()
+    except PpshwError as error:
+        return _complain(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _complain("stopped", 1)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        message = f"{error.filename or 'file'}: {error.strerror or error}"
+        return _complain(message, 2 if error.errno in _BAD_PATH else 1)
+    except sqlite3.Error as error:
+        return _complain(f"recording: {error}", 1)
+    except Exception as error:
+        if os.environ.get("PPSHW_DEBUG"):
+            raise
+        return _complain(f"internal error: {type(error).__name__}: {error} (PPSHW_DEBUG=1 shows where)", 1)
+    return 0
+
+
+def _as_a_program() -> None:
+    """What concerns the whole process: a polite kill stops the axes like Ctrl-C; stderr is for our one line alone."""
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    if not os.environ.get("PPSHW_DEBUG"):
+        logging.captureWarnings(True)
+        logging.getLogger().addHandler(logging.NullHandler())  # else Python prints the drivers' warnings itself
+    with suppress(AttributeError):  # a terminal without our letters must not end in a traceback
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"ppshw: {' '.join(message.split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,39 @@
+"""Answers: as text or JSON, rows of figures, files to write; and how long a bar is told that something takes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ppshw.errors import BadInput
+
+# What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
+REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
+TWINNED_PER_S = 250.0
+
+
+def say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
+    print(json.dumps(answer, indent=1) if arguments.json else text)
+
+
+FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"
+
+
+def figure_row(name: str, values: dict[str, Any]) -> str:
+    keys = ("median_mm", "rms_mm", "p95_mm", "p98_6_mm", "max_mm")
+    return f"{name:16}" + "".join(f"{values[k]:10.3f}" for k in keys)
+
+
+def new_file(path: str, *inputs: str) -> Path:
+    """Where an answer may go. Raises BadInput before anything is computed, not after."""
+    out = Path(path)
+    if not out.parent.is_dir():
+        raise BadInput(f"{out}: the folder {out.parent} does not exist")
+    if out.is_dir():
+        raise BadInput(f"{out}: a folder, expected the name of a file to write")
+    for given in inputs:
+        if out.exists() and Path(given).exists() and out.samefile(given):
+            raise BadInput(f"{out}: is what is read here, expected another file to write")
+    return out

@@ -1,0 +1,83 @@
+"""What the words of a command line mean: the machine, numbers, lengths. Words that mean nothing are bad input."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ppshw.errors import BadInput
+
+
+def machine_of(a: argparse.Namespace) -> Any:
+    """The machine file of that path, or the one of that name that comes with ppshw."""
+    from ppshw.machine import load_machine, shipped_machines
+
+    named = shipped_machines() / f"{a.machine}.yaml"
+    return load_machine(named if not Path(a.machine).exists() and named.is_file() else a.machine)
+
+
+def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """`count` numbers, given as one word or several, with spaces, commas or brackets around them."""
+    text = " ".join(words).strip()
+    try:
+        values = np.array([float(w) for w in text.translate(_BETWEEN_NUMBERS).split()])
+    except ValueError:
+        raise BadInput(f"{what}: '{text}' holds something that is no number, expected {count} numbers") from None
+    if len(values) != count or not (np.abs(values) < 1e9).all():
+        raise BadInput(f"{what}: '{text}' holds {len(values)} values, expected {count} finite numbers")
+    return values
+
+
+_BETWEEN_NUMBERS = str.maketrans(",;[]()", "      ")
+
+
+def pairs(words: Sequence[str] | None, names: Sequence[str] | None, what: str) -> dict[str, float]:
+    """NAME=NUMBER words; names None: any."""
+    out = {}
+    for word in words or ():
+        name, _, text = word.strip().partition("=")
+        if names is not None and name not in names:
+            raise BadInput(f"{what}: no joint named '{name}', expected one of {', '.join(names)}")
+        out[name] = float(numbers([text], 1, f"{what} {name}")[0])
+    return out
+
+
+def positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError
+    return value
+
+
+def seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
+def count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
+def length(text: str) -> float:
+    """A length with its unit (mm, um, µm, m), or metres."""
+    found = _LENGTH.fullmatch(text.strip())
+    if found is None:
+        raise ValueError
+    return positive(found[1]) * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6, "m": 1.0, "": 1.0}[found[2]]
+
+
+_LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m|)")
+length.__name__ = "length such as 0.25mm"
+positive.__name__, seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
+count.__name__ = "number of 1 or more"

@@ -1,0 +1,94 @@
+"""What a recording shows beside its model, and pages about it: diagnose, twin, report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, say
+from ppshw.cli.arguments import machine_of
+from ppshw.errors import BadInput
+from ppshw.progress import Bar, folded
+from ppshw.whole_file import written_whole
+
+
+def report(a: argparse.Namespace) -> None:
+    from ppshw.report import build_report
+
+    with Bar() as bar, bar.expect("report", REPORT_S):
+        page = build_report(Path(a.dir))
+    say(a, {"report": str(page)}, str(page))
+
+
+def diagnose(a: argparse.Namespace) -> None:
+    """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
+    from ppshw.diagnosis import diagnose as run
+    from ppshw.diagnosis.checks import sentence
+    from ppshw.diagnosis.library import NAMES
+    from ppshw.diagnosis.modelled import extended
+    from ppshw.diagnosis.wording import how_sure
+    from ppshw.recording import load_recording
+
+    without = frozenset(a.without)
+    if not without <= set(NAMES):
+        raise BadInput(f"--without {min(without - set(NAMES))}: no such effect, expected some of {', '.join(NAMES)}")
+    machine = machine_of(a)
+    recording = load_recording(a.rec, machine)
+    for out in (a.json, a.out, a.page):
+        if out is not None:
+            new_file(out, a.rec, a.machine)
+    with Bar() as bar:
+        found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
+    answer = found.answer
+    if a.page is not None:
+        from ppshw.report.diagnosis import write_diagnosis
+
+        with Bar() as bar, bar.expect("page", REPORT_S):
+            write_diagnosis(found, Path(a.page))
+    if a.out is not None:
+        extended(found.space, found.found).save(a.out)
+    with written_whole(Path(a.json)) as partial:
+        partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    held = answer["held_out"]
+    lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
+    lines += [f"  {f['sentence']} {how_sure(f)}" for f in answer["findings"]]
+    if answer["unexplained"] is not None:
+        left = answer["unexplained"]
+        history = f" ({left['history']})" if left["history"] else ""
+        lines.append(f"  unexplained structure over {' and '.join(left['covariates'])}{history}")
+    lines += [f"  {c['sentence']}" for c in answer["corrections"]]
+    lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
+                 f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
+    lines.append(f"by the base model {sentence(answer['checks']['before'])}")
+    if answer["findings"] or answer["unexplained"] is not None:
+        lines.append(f"with what was found {sentence(answer['checks']['after'])}")
+    lines += [f"page {a.page}"] if a.page else []
+    print(folded(lines))
+
+
+def twin(a: argparse.Namespace) -> None:
+    """twin: the visits of a recording, simulated by a calibration; and whether the recording is like that."""
+    from ppshw.calibration import load_calibration
+    from ppshw.diagnosis.checks import sentence
+    from ppshw.evaluation import figures, residuals
+    from ppshw.recording import check_machine, parse_table, read_table
+    from ppshw.twin import compare, simulate, twin_table
+
+    machine = machine_of(a)
+    calibration = load_calibration(a.calibration, machine)
+    out = new_file(a.out, a.rec, machine.file, a.calibration)
+    table = read_table(a.rec)
+    check_machine(table, machine)
+    recording = parse_table(table, machine)
+    with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
+        made = twin_table(table, recording, simulate(calibration, recording, a.seed))
+        checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]
+    with written_whole(out) as partial:
+        partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
+    twin = figures(residuals(parse_table(made, machine), calibration))
+    answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
+              "recording": figures(residuals(recording, calibration)), "twin": twin, "checks": checks}  # fmt: skip
+    lines = [f"{a.out}: {len(recording)} visits; residuals of the calibration [mm]", FIGURE_HEAD]
+    lines += [figure_row(name, answer[name]) for name in ("recording", "twin")]
+    say(a, answer, folded([*lines, f"the recording is {sentence(checks)}"]))

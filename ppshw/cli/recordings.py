@@ -1,0 +1,55 @@
+"""Recordings and the interchange CSV: import, export."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ppshw import __version__
+from ppshw.cli.answers import READ_PER_S, new_file, say
+from ppshw.cli.arguments import machine_of
+from ppshw.errors import BadInput
+from ppshw.progress import Bar
+from ppshw.whole_file import written_whole
+
+
+def import_(a: argparse.Namespace) -> None:
+    """import: CSV → SQLite, nothing written unless every value is good."""
+    from ppshw.recording import check_machine, parse_table, read_table
+    from ppshw.recording_file import RecordingFile
+
+    machine = machine_of(a)
+    out = new_file(a.out, a.csv, machine.file)
+    if out.exists():
+        raise BadInput(f"{out}: exists already, expected a new file")
+    with Bar() as bar, bar.expect("import", Path(a.csv).stat().st_size / READ_PER_S if Path(a.csv).is_file() else 0.0):
+        table = read_table(a.csv)
+        check_machine(table, machine)
+        recording = parse_table(table, machine)
+    meta = {
+        "machine": Path(machine.file).read_text(encoding="utf-8"),
+        "machine_name": machine.name,
+        "machine_sha256": machine.sha256,
+        "imported_from": Path(a.csv).name,
+        "csv_newline": "CRLF" if table.newline == "\r\n" else "LF",
+        "ppshw": __version__,
+    }
+    with written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
+        file.append_rows(table.rows)
+    readings = int(recording.seen.sum())
+    answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
+    say(a, answer, f"{a.out}: {len(recording)} visits, {readings} readings")
+
+
+def export(a: argparse.Namespace) -> None:
+    """export: SQLite → CSV, the same cells in the same order."""
+    from ppshw.recording import read_table
+    from ppshw.recording_file import is_sqlite
+
+    out = new_file(a.csv, a.rec)
+    if out.is_file() and is_sqlite(out):
+        raise BadInput(f"{out}: is a recording already, expected the name of a CSV file to write")
+    table = read_table(a.rec)
+    with written_whole(out) as partial:
+        partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")
+    say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {len(table.rows)} visits")

@@ -1,0 +1,116 @@
+"""Corrected setpoints: compensate, move."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from ppshw.cli.answers import say
+from ppshw.cli.arguments import machine_of, numbers, pairs
+from ppshw.errors import BadInput
+from ppshw.progress import Bar
+
+
+def _circumstances(a: argparse.Namespace, machine: Any) -> Any:
+    """What is known of the move beyond its end and its load: effects that a diagnosis found may depend on it."""
+    from ppshw.compensation import Circumstances
+    from ppshw.recording import Around
+
+    approach = np.zeros(machine.n, dtype=np.int64)
+    for joint, sign in pairs(a.approach, machine.joint_names, "--approach").items():
+        if sign not in (-1.0, 1.0):
+            raise BadInput(f"--approach {joint}: {sign:g}, expected +1 or -1")
+        approach[machine.joint_names.index(joint)] = int(sign)
+    start = None if a.start is None else numbers(a.start, machine.n, "--from")
+    around = Around(temperatures=pairs(a.temperature, None, "--temperature"))
+    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for)
+
+
+def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str, Any], str]:
+    """What `compensate` and `move` share: the wanted pose, corrected.
+
+    given  the circumstances, where the site has been asked; None: what the options say
+    """
+    from ppshw.calibration import load_calibration
+    from ppshw.compensation import Bounds, Compensator
+    from ppshw.transforms import from_xyz_rpy
+
+    machine = machine_of(a)
+    compensator = Compensator(load_calibration(a.calibration, machine), Bounds(a.max_travel, a.max_angle))
+    given = given or _circumstances(a, machine)
+    payload = numbers(a.wrench, 6, "--wrench")
+    if a.point not in ("tip", *machine.points, *machine.targets):
+        known = ", ".join(["tip", *machine.points, *machine.targets])
+        raise BadInput(f"--point: no point named '{a.point}' in {machine.file}, expected one of {known}")
+    if a.joints is not None:
+        setpoints = compensator.for_joints(numbers(a.joints, machine.n, "--joints"), payload, a.point, given)
+    else:
+        pose = numbers(a.pose, 6, "--pose")
+        near = given.start if a.near is None else numbers(a.near, machine.n, "--near")
+        setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near, given)
+    names = machine.joint_names
+    answer = {
+        "setpoints": dict(zip(names, setpoints.corrected.tolist(), strict=True)),
+        "nominal": dict(zip(names, setpoints.nominal.tolist(), strict=True)),
+        "point": a.point,
+        "predicted_error_mm": (setpoints.predicted_error * 1e3).tolist(),
+        "std_mm": (setpoints.std * 1e3).tolist(),
+        "compensated": [v.as_dict() for v in setpoints.effects if v.taken_out],
+        "not_compensated": [v.as_dict() for v in setpoints.effects if not v.taken_out],
+    }
+    lines = [f"{'joint':16}{'nominal':>14}{'setpoint':>14}{'correction':>14}"]
+    for k, joint in enumerate(machine.joints):
+        nominal, corrected = setpoints.nominal[k], setpoints.corrected[k]
+        lines.append(f"{joint.name:16}{nominal:14.6f}{corrected:14.6f}{corrected - nominal:+14.6f}  {joint.unit}")
+    size = np.linalg.norm(setpoints.predicted_error) * 1e3
+    std = np.linalg.norm(setpoints.std) * 1e3
+    lines.append(f"{a.point}: {size:.3f} mm off without correction; the model is sure to {std:.3f} mm (1 sigma)")
+    lines += [f"{'compensated' if v.taken_out else 'not compensated'}: {v.sentence()}" for v in setpoints.effects]
+    return machine, answer, "\n".join(lines)
+
+
+def compensate(a: argparse.Namespace) -> None:
+    _, answer, text = _corrected(a)
+    say(a, answer, text)
+
+
+def move(a: argparse.Namespace) -> None:
+    from campaigns.plan import travel_time
+    from campaigns.site import load_site, open_bench
+    from ppshw.calibration import load_calibration
+
+    machine, _, _ = _corrected(a)  # refuses before anything is switched on
+    site = load_site(a.site)
+    if site.machine.sha256 != machine.sha256:
+        there = f"'{site.machine.name}' ({site.machine.file})"
+        raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
+    with open_bench(site) as bench, Bar() as bar:
+        bench.start_axes(a.reset_faults)
+        here = bench.axes.positions()
+        felt = bench.temperatures() if load_calibration(a.calibration, machine).effects else {}
+        _, answer, text = _corrected(a, _found_there(a, site, here, felt))
+        there = answer["setpoints"]
+        longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
+        with bar.expect("move", longest / site.speed):
+            report = bench.axes.move(there)
+    answer["reached"] = dict(report.positions)
+    say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
+
+
+def _found_there(a: argparse.Namespace, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
+    """The circumstances as the site has them; what an option says goes before it."""
+    from dataclasses import replace
+
+    given = _circumstances(a, site.machine)
+    approach = np.where(given.approach != 0, given.approach, final_approach(site))
+    start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
+    around = replace(given.around, temperatures={**felt, **given.around.temperatures})
+    return replace(given, start=start, approach=approach, around=around)
+
+
+def final_approach(site: Any) -> Any:
+    """(n,) the direction in which the site has an axis always end its moves, 0 where it does not."""
+    sides = {axis.name: axis.approach_from for axis in site.axes}
+    return np.array([-(sides[j] or 0) for j in site.machine.joint_names])

@@ -1,0 +1,60 @@
+"""Simulated hardware: simulate, demo."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, say
+from ppshw.cli.arguments import machine_of
+from ppshw.progress import Bar
+
+
+def simulate(a: argparse.Namespace) -> None:
+    from simulators.serve import serve
+
+    machine, site = machine_of(a), new_file(a.site_out, a.machine)
+
+    def announce(path: Path) -> None:
+        print(json.dumps({"site": str(path)}), flush=True)
+
+    ready = announce if a.json else None
+    serve(machine.file, site, seed=a.seed, speed=a.speed, force_protocol=a.force_sensor, ready=ready)
+
+
+def demo(a: argparse.Namespace) -> None:
+    from ppshw.demo import run_demo
+
+    if a.conceal is not None:
+        return _demo_concealed(a)
+    with Bar() as bar:
+        answer = run_demo(Path(a.out), a.seed, Path(machine_of(a).file), a.method, bar)
+    scatter = answer["repeatability"]
+    text = "\n".join(
+        [
+            f"at the treatment point, {answer['verification_visits']} configurations that no fit has seen [mm]",
+            FIGURE_HEAD,
+            figure_row("uncompensated", answer["uncompensated"]),
+            figure_row("compensated", answer["compensated"]),
+            f"measurements      {answer['visits']} visits, {answer['readings']} reflector readings",
+            f"repeatability     {answer['repeatability_mm']:.3f} mm at 98.6 % ({scatter['visits']} visits)",
+            f"time              {answer['seconds']:.0f} s for {answer['machine_hours']:.0f} h of machine time; "
+            f"identification {answer['identify_seconds']:.1f} s",
+            f"page              {Path(a.out) / 'report.html'}",
+        ]
+    )
+    return say(a, answer, text)
+
+
+def _demo_concealed(a: argparse.Namespace) -> None:
+    from ppshw.demo_concealed import run_concealed, sentences, table_rows
+
+    def announce(seal: str) -> None:
+        print(f"seal {seal}", file=sys.stderr, flush=True)
+
+    with Bar() as bar:
+        answer = run_concealed(Path(a.out), a.conceal, a.seed, Path(machine_of(a).file), bar, announce)
+    rows = [figure_row(name, values) for name, values in table_rows(answer).items()]
+    say(a, answer, "\n".join(sentences(answer, [FIGURE_HEAD, *rows])))

@@ -1,0 +1,35 @@
+"""Many simulated machines, on a cluster if there is one: prove, study."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ppshw.cli.answers import say
+from ppshw.errors import PpshwError
+from ppshw.progress import Bar
+
+
+def prove(a: argparse.Namespace) -> None:
+    from ppshw.prove import deck, removed_deck, run_prove, sentences, short_deck
+
+    cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed) + removed_deck(a.removed, a.seed)
+    with Bar() as bar:
+        answer = run_prove(Path(a.out), cases, workers=a.workers, scheduler=a.scheduler, say=bar)
+    say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
+    if len(answer["lost"]) == answer["cases"]:
+        raise PpshwError(f"{a.out}: every case was lost, the first: {next(iter(answer['lost'].values()))}")
+
+
+def study(a: argparse.Namespace) -> None:
+    from ppshw.studies.catalogue import STUDIES
+    from ppshw.studies.engine import Cluster
+    from ppshw.studies.study import run_study, table
+
+    with Bar() as bar:
+        answer = run_study(
+            STUDIES[a.study], Path(a.out), a.seeds, a.short, Cluster(a.workers, a.scheduler),
+            lambda done, total: bar(a.study, done, total),
+        )  # fmt: skip
+    lost = [f"lost: {key}: {why}" for key, why in answer["lost"].items()]
+    say(a, answer, "\n".join([table(answer["rows"]), *lost, f"page {Path(a.out) / a.study}.md"]))
