@@ -1,0 +1,64 @@
+"""What a positioner measured, with a displacement put in by hand, and the search for it among some candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.library.sampled import own_component
+from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.search import search
+from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms.shapes import Column
+
+NAME = "pitch"  # whose travel is short
+
+
+def _on_the_joint(space: Workspace, function: str, **args: object) -> Column:
+    k = space.machine.joint_names.index(NAME)
+    return Column("frame", function, {"joint": k, **args}, k + 1, own_component(space.context, k))
+
+
+def _travel(space: Workspace) -> float:
+    return float(np.ptp(space.recording.q[:, space.machine.joint_names.index(NAME)]))
+
+
+def _with(space: Workspace, column: Column, times: float) -> Workspace:
+    """The same recording of a machine whose joint does this as well, so many repeatabilities rms at the reflectors."""
+    moved = column.evaluate(space.context)
+    moved *= times * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    return replace(space, data=space.data + moved)
+
+
+_CANDIDATES: dict[int, list[Candidate]] = {}  # of a context, which all workspaces of a recording share
+
+
+def _named(space: Workspace, *effects: str) -> list[Candidate]:
+    """Candidates of some effects, or without a name."""
+    every = _CANDIDATES.setdefault(id(space.context), [])
+    every += [] if every else library(space.context) + nameless(space.context)
+    return [k for k in every if k.effect in effects]
+
+
+def _creep_and_riddles(space: Workspace) -> list[Candidate]:
+    """Of one joint's own component: few, for what only asks who is who."""
+    creeping = [k for k in _named(space, "creep") if k.joint == NAME and k.component]
+    place = creeping[0].frame, creeping[0].component
+    return creeping + [k for k in _named(space, "nameless") if (k.frame, k.component) == place]
+
+
+def _search(space: Workspace, effects: Sequence[str], about: str = "") -> tuple[list[Found], Tried]:
+    """about: a joint that rivals without a name sit at or speak of; all of them by default."""
+    rivals = [k for k in _named(space, "nameless") if k.frame == about or any(about in name for name in k.covariates)]
+    some = _named(space, *effects) + rivals
+    tried = Tried(space, some, 5e-5)
+    return search(space, tried, np.random.default_rng(0)), tried
+
+
+def _best(tried: Tried, found: Found) -> Candidate:
+    return tried.candidates[found.best]
