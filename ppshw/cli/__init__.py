@@ -18,7 +18,6 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from ppshw.cli.parser import STUDIES as _STUDIES  # noqa: F401  a test compares it with the catalogue
 from ppshw.cli.parser import build_parser
 from ppshw.errors import PpshwError
 

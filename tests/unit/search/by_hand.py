@@ -19,16 +19,16 @@ from ppshw.terms.shapes import Column
 NAME = "pitch"  # whose travel is short
 
 
-def _on_the_joint(space: Workspace, function: str, **args: object) -> Column:
+def on_joint(space: Workspace, function: str, **args: object) -> Column:
     k = space.machine.joint_names.index(NAME)
     return Column("frame", function, {"joint": k, **args}, k + 1, own_component(space.context, k))
 
 
-def _travel(space: Workspace) -> float:
+def travel_of(space: Workspace) -> float:
     return float(np.ptp(space.recording.q[:, space.machine.joint_names.index(NAME)]))
 
 
-def _with(space: Workspace, column: Column, times: float) -> Workspace:
+def moved_by(space: Workspace, column: Column, times: float) -> Workspace:
     """The same recording of a machine whose joint does this as well, so many repeatabilities rms at the reflectors."""
     moved = column.evaluate(space.context)
     moved *= times * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
@@ -38,27 +38,27 @@ def _with(space: Workspace, column: Column, times: float) -> Workspace:
 _CANDIDATES: dict[int, list[Candidate]] = {}  # of a context, which all workspaces of a recording share
 
 
-def _named(space: Workspace, *effects: str) -> list[Candidate]:
+def named(space: Workspace, *effects: str) -> list[Candidate]:
     """Candidates of some effects, or without a name."""
     every = _CANDIDATES.setdefault(id(space.context), [])
     every += [] if every else library(space.context) + nameless(space.context)
     return [k for k in every if k.effect in effects]
 
 
-def _creep_and_riddles(space: Workspace) -> list[Candidate]:
+def creep_and_riddles(space: Workspace) -> list[Candidate]:
     """Of one joint's own component: few, for what only asks who is who."""
-    creeping = [k for k in _named(space, "creep") if k.joint == NAME and k.component]
+    creeping = [k for k in named(space, "creep") if k.joint == NAME and k.component]
     place = creeping[0].frame, creeping[0].component
-    return creeping + [k for k in _named(space, "nameless") if (k.frame, k.component) == place]
+    return creeping + [k for k in named(space, "nameless") if (k.frame, k.component) == place]
 
 
-def _search(space: Workspace, effects: Sequence[str], about: str = "") -> tuple[list[Found], Tried]:
+def look(space: Workspace, effects: Sequence[str], about: str = "") -> tuple[list[Found], Tried]:
     """about: a joint that rivals without a name sit at or speak of; all of them by default."""
-    rivals = [k for k in _named(space, "nameless") if k.frame == about or any(about in name for name in k.covariates)]
-    some = _named(space, *effects) + rivals
+    rivals = [k for k in named(space, "nameless") if k.frame == about or any(about in name for name in k.covariates)]
+    some = named(space, *effects) + rivals
     tried = Tried(space, some, 5e-5)
     return search(space, tried, np.random.default_rng(0)), tried
 
 
-def _best(tried: Tried, found: Found) -> Candidate:
+def best_of(tried: Tried, found: Found) -> Candidate:
     return tried.candidates[found.best]

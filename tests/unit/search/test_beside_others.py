@@ -16,27 +16,36 @@ from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import SHADOW, caster_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, _best, _creep_and_riddles, _named, _on_the_joint, _search, _travel, _with
+from tests.unit.search.by_hand import (
+    NAME,
+    best_of,
+    creep_and_riddles,
+    look,
+    moved_by,
+    named,
+    on_joint,
+    travel_of,
+)
 
 
 def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) -> None:
     """Friction keeps its name while what nobody knows goes on elsewhere."""
-    both = _with(space, _on_the_joint(space, "slipping", width=0.15 * _travel(space)), 3.0)
+    both = moved_by(space, on_joint(space, "slipping", width=0.15 * travel_of(space)), 3.0)
     swells = {"name": "cov_humidity", "knot": 2, "count": 5}
     k = space.machine.joint_names.index(NAME)
-    elsewhere = _with(both, Column("frame", "covariate", swells, 1, 0), 3.0)
-    found, _ = _search(elsewhere, ["friction_hysteresis"])
+    elsewhere = moved_by(both, Column("frame", "covariate", swells, 1, 0), 3.0)
+    found, _ = look(elsewhere, ["friction_hysteresis"])
     assert {f.name for f in found} == {("friction_hysteresis", NAME), ("nameless", None)}
-    there = _with(both, Column("frame", "covariate", swells, k + 1, own_component(space.context, k)), 3.0)
-    found, tried = _search(there, ["friction_hysteresis"])
+    there = moved_by(both, Column("frame", "covariate", swells, k + 1, own_component(space.context, k)), 3.0)
+    found, tried = look(there, ["friction_hysteresis"])
     assert {f.name for f in found} == {("nameless", None)}
-    assert any("cov_humidity" in covariate for f in found for covariate in _best(tried, f).covariates)
+    assert any("cov_humidity" in covariate for f in found for covariate in best_of(tried, f).covariates)
 
 
 @pytest.mark.parametrize(("share", "beside"), [(0.05, False), (0.2, True)])
 def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: float, beside: bool) -> None:
     """It is what the named form leaves, however large its size came out."""
-    some = _creep_and_riddles(space)
+    some = creep_and_riddles(space)
     there = next(j for j, k in enumerate(some) if k.effect == "nameless")
     tried = Tried(space, some, 5e-5)
     named = Found(0, ("creep", NAME), 0.0, 160.0, size=5e-5, first=160.0)
@@ -59,7 +68,7 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
 ) -> None:
     """By its own form a step ahead of the best rival without a name, less a five-hundredth of what it says; or by its
     near forms six ahead, where its own says nine tenths as much as the rival."""
-    some = _creep_and_riddles(space)
+    some = creep_and_riddles(space)
     tried = Tried(space, some, 5e-5)
     without = np.array([k.effect == "nameless" for k in some])
     evidence = np.where(without, rival, own)
@@ -79,8 +88,8 @@ def test_a_name_that_goes_with_time_alone_is_left_of_a_riddle_ten_times_as_loud_
     space: Workspace, monkeypatch: pytest.MonkeyPatch, effect: str, own: float, stands: bool
 ) -> None:
     """Rivals without a name say 100 after their handicap, 143 before it."""
-    some = [k for k in _named(space, effect) if k.joint == NAME][:1] + [
-        k for k in _named(space, "nameless") if k.covariates[:1] == (f"approach_{NAME}",)
+    some = [k for k in named(space, effect) if k.joint == NAME][:1] + [
+        k for k in named(space, "nameless") if k.covariates[:1] == (f"approach_{NAME}",)
     ]  # fmt: skip
     tried = Tried(space, some, 5e-5)
     said = {"nameless": 100.0, effect: own}
@@ -96,7 +105,7 @@ def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
 ) -> None:
     """Of the next finding the name that is found already is preferred, where it explains more than half as much: not
     for what happened at another moment."""
-    some = _named(space, "zero_shift", "drift")
+    some = named(space, "zero_shift", "drift")
     tried = Tried(space, some, 5e-5)
     jumps = [j for j, k in enumerate(some) if k.effect == "zero_shift"]
     first = next(j for j in jumps if some[j].joint == "roll")
@@ -114,7 +123,7 @@ def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
 
 def test_what_has_no_name_draws_no_other_place_to_itself(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name is not given up for a function without one, because another stands elsewhere already."""
-    some = _creep_and_riddles(space) + [k for k in _named(space, "nameless") if k.frame == "lateral"]
+    some = creep_and_riddles(space) + [k for k in named(space, "nameless") if k.frame == "lateral"]
     tried = Tried(space, some, 5e-5)
     there = next(j for j, k in enumerate(some) if k.covariates[:1] == (f"approach_{NAME}",) and k.frame == NAME)
     elsewhere = next(j for j, k in enumerate(some) if k.covariates == ("cov_humidity",) and k.frame == "lateral")
@@ -128,7 +137,7 @@ def test_what_has_no_name_draws_no_other_place_to_itself(space: Workspace, monke
 
 def test_what_sits_in_no_one_joint_for_sure_is_no_less_likely_for_it(space: Workspace) -> None:
     """Three joints that say 20 each are 21.1 together, more than one effect's 20.5 elsewhere and less than 21.5."""
-    tried = Tried(space, _named(space, "thermal_growth", "tracker_scale"), 5e-5)
+    tried = Tried(space, named(space, "thermal_growth", "tracker_scale"), 5e-5)
     joints = [j for j, (effect, _) in enumerate(tried.names) if effect == "thermal_growth"][:3]
     for elsewhere, wanted in ((20.5, "thermal_growth"), (21.5, "tracker_scale")):
         names = np.where([effect == "tracker_scale" for effect, _ in tried.names], elsewhere, -50.0)
@@ -143,7 +152,7 @@ def test_play_in_another_drive_does_not_make_friction_play(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
 ) -> None:
     """Play found in one joint; in another friction says 99, and play less. So with clearance about another axis."""
-    some = _named(space, "backlash", "friction_hysteresis")
+    some = named(space, "backlash", "friction_hysteresis")
     tried = Tried(space, some, 5e-5)
     there = next(j for j, k in enumerate(some) if k.effect == "backlash" and k.joint == "yaw")
     names = np.full(len(tried.names), -50.0)
@@ -158,7 +167,7 @@ def test_play_in_another_drive_does_not_make_friction_play(
 def test_clearance_about_one_axis_does_not_make_stiffness_about_another_clearance(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
 ) -> None:
-    some = [k for k in _named(space, "clearance", "nonlinear_stiffness") if k.joint == "yaw"]
+    some = [k for k in named(space, "clearance", "nonlinear_stiffness") if k.joint == "yaw"]
     tried = Tried(space, some, 5e-5)
     about = {(k.effect, k.component): j for j, k in enumerate(some)}
     loud = [about[effect, "rz"] for effect in ("clearance", "nonlinear_stiffness")]
@@ -172,7 +181,7 @@ def test_clearance_about_one_axis_does_not_make_stiffness_about_another_clearanc
 
 
 def test_a_reflector_that_moves_twice_is_one_finding(space: Workspace) -> None:
-    some = [k for k in _named(space, "target_moved") if "time_h" in k.shape]
+    some = [k for k in named(space, "target_moved") if "time_h" in k.shape]
     first, later = 0, len(some) - 1
     tried = Tried(space, some, 5e-5)
     found = Found(first, ("target_moved", None), 0.0, 50.0, first=50.0)
@@ -185,7 +194,7 @@ def test_a_reflector_that_moves_twice_is_one_finding(space: Workspace) -> None:
 
 def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Workspace) -> None:
     """What is a hundredth of it and happens an hour later is a jump of its own; so is a large one at the same time."""
-    some = [k for k in _named(space, "target_moved", "zero_shift") if "time_h" in k.shape]
+    some = [k for k in named(space, "target_moved", "zero_shift") if "time_h" in k.shape]
     tried = Tried(space, some, 5e-5)
     knocks = [j for j, k in enumerate(some) if k.effect == "target_moved"]
     knock = knocks[len(knocks) // 2]
@@ -200,7 +209,7 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
 
 def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
     """What the form of an effect leaves is at the effect's own place, as a function of the load there."""
-    some = _named(space, "creep", "wrench_error") + [k for k in _named(space, "nameless") if k.frame in (None, NAME)]
+    some = named(space, "creep", "wrench_error") + [k for k in named(space, "nameless") if k.frame in (None, NAME)]
     creep = next(j for j, k in enumerate(some) if k.effect == "creep" and k.joint == NAME and k.component)
     tried = Tried(space, some, 5e-5)
     shows = [float((tried.seen / tried.laid.plain)[tried.index[j]].min()) for j in range(len(some))]
@@ -208,16 +217,16 @@ def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(s
     found = Found(creep, ("creep", NAME), 0.0, 1000.0, first=1000.0)
     frame, component = some[creep].columns[0].frame, some[creep].columns[0].component
     where = {"frame": frame, "component": component, "order": 3}
-    left = _with(space, Column("frame", "load_legendre", where, frame, component), 1.0)
+    left = moved_by(space, Column("frame", "load_legendre", where, frame, component), 1.0)
     assert caster_of(Tried(left, some, 5e-5), misread, 10.0, [found]) is found
     assert caster_of(tried, misread, 10.0, [found]) is None
-    both = _with(_with(space, some[creep].columns[0], 10.0), some[misread].columns[0], 2.0)
-    names = {f.name for f in _search(both, ["creep", "wrench_error"])[0]}
+    both = moved_by(moved_by(space, some[creep].columns[0], 10.0), some[misread].columns[0], 2.0)
+    names = {f.name for f in look(both, ["creep", "wrench_error"])[0]}
     assert names == {("creep", NAME), ("wrench_error", None)}
 
 
 def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(space: Workspace) -> None:
-    some = _named(space, "thermal_growth", "zero_shift")
+    some = named(space, "thermal_growth", "zero_shift")
     tried = Tried(space, some, 5e-5)
     warm = next(j for j, k in enumerate(some) if k.effect == "thermal_growth" and k.joint == "roll")
     jump = next(j for j, k in enumerate(some) if k.effect == "zero_shift" and k.joint == "yaw")
@@ -227,7 +236,7 @@ def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(spac
 
 
 def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Workspace) -> None:
-    some = _named(space, "drift", "nameless")
+    some = named(space, "drift", "nameless")
     tried = Tried(space, some, 5e-5)
     drift = next(j for j, k in enumerate(some) if k.effect == "drift")
     warm = {k.frame: j for j, k in enumerate(some) if k.covariates == ("late_1_temp_air_C",)}
@@ -238,7 +247,7 @@ def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Worksp
 
 
 def test_creep_of_a_whole_rail_a_hundred_times_more_quiet_is_what_a_wandering_base_leaves(space: Workspace) -> None:
-    some = _named(space, "drift", "creep")
+    some = named(space, "drift", "creep")
     tried = Tried(space, some, 5e-5)
     drift = next(j for j, k in enumerate(some) if k.effect == "drift")
     whole = {k.joint: j for j, k in enumerate(some) if k.effect == "creep" and k.component is None}
@@ -254,10 +263,10 @@ def test_what_another_joint_does_over_its_position_is_no_shadow_of_what_leaves_n
     k, other = (space.machine.joint_names.index(name) for name in (NAME, "vertical"))
     loud = Column("frame", "load_power", {"frame": k + 1, "component": 3, "exponent": 2.0}, k + 1, 3)
     quiet = Column("frame", "pair", {"a": other, "power_a": 0, "b": k, "power_b": 2}, other + 1, 2)
-    some = _named(space, "nonlinear_stiffness", "cross_coupling") + [
-        j for j in _named(space, "nameless") if j.frame in (NAME, "vertical")
+    some = named(space, "nonlinear_stiffness", "cross_coupling") + [
+        j for j in named(space, "nameless") if j.frame in (NAME, "vertical")
     ]
-    there = _with(_with(space, loud, 8.0), quiet, 2.0)
+    there = moved_by(moved_by(space, loud, 8.0), quiet, 2.0)
     found = search(there, Tried(there, some, 5e-5), np.random.default_rng(0))
     assert {f.name[0] for f in found} == {"nonlinear_stiffness", "cross_coupling"}
     assert next(f.first for f in found if f.name[0] == "cross_coupling") < SHADOW * found[0].first

@@ -11,7 +11,7 @@ from ppshw.diagnosis.library.by_load import FALLS_AT
 from ppshw.diagnosis.wording import finding, parameters_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import _best, _named, _search, _with
+from tests.unit.search.by_hand import best_of, look, moved_by, named
 
 
 def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
@@ -20,9 +20,9 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     beyond = np.where(load > np.quantile(load, 0.45), load - np.quantile(load, 0.45), 0.0)
     moved = space.context.jacobian[:, :, frame, 3] * beyond[:, None]
     moved *= 5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    found, tried = look(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
     assert [f.name[0] for f in found] == ["nonlinear_stiffness"]
-    candidate = _best(tried, found[0])
+    candidate = best_of(tried, found[0])
     said = parameters_of(candidate, np.array([1e-9]), np.array([1e-10]))
     assert (said["compliance"]["unit"], said["knee_load"]["unit"]) == ("rad/(N m)", "N m")
     frame, component = candidate.columns[0].frame, candidate.columns[0].args["component"]
@@ -31,7 +31,7 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
 
 
 def test_a_gap_may_be_wider_on_one_side_and_says_by_how_much(space: Workspace) -> None:
-    sides = [k for k in _named(space, "clearance") if len(k.columns) == 2]
+    sides = [k for k in named(space, "clearance") if len(k.columns) == 2]
     assert sides
     for candidate in sides:
         side, either = (column.value(space.context) for column in candidate.columns)
@@ -48,7 +48,7 @@ def test_a_joint_whose_weight_is_balanced_falls_about_a_load_that_never_changes_
         (k, b) for k in range(1, space.machine.n + 1) for b in range(3, 6)
         if np.ptp(space.context.wrenches[:, k, b]) > 0 and (space.context.wrenches[:, k, b] > 0).mean() in (0.0, 1.0)
     ]  # fmt: skip
-    sides = [k.columns[0] for k in _named(space, "clearance") if k.columns[0].function == "load_side"]
+    sides = [k.columns[0] for k in named(space, "clearance") if k.columns[0].function == "load_side"]
     balanced = [
         s for s in sides
         if (s.args["frame"], s.args["component"]) in always and s.args.get("offset", 0.0) not in FALLS_AT
@@ -64,9 +64,9 @@ def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_
     k = space.machine.joint_names.index("yaw") + 1
     for width, effect in ((0.9, "nonlinear_stiffness"), (0.1, "clearance")):
         column = Column("frame", "load_side", {"frame": k, "component": 3, "width": width}, k, 3)
-        found, tried = _search(_with(space, column, 5.0), ["nonlinear_stiffness", "clearance"])
+        found, tried = look(moved_by(space, column, 5.0), ["nonlinear_stiffness", "clearance"])
         assert [f.name[0] for f in found] == [effect]
-        candidate = _best(tried, found[0])
+        candidate = best_of(tried, found[0])
         said = parameters_of(candidate, np.array([1e-4]), np.array([1e-5]))
         own = candidate.columns[0].args
         spread = float(space.context.wrenches[:, own["frame"], own["component"]].std())
@@ -78,11 +78,11 @@ def test_a_side_that_is_held_until_a_load_pushes_it_over_is_no_stiffness_where_c
 ) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     column = Column("frame", "load_side_held", {"frame": k, "component": 3, "width": 0.35}, k, 3)
-    there = _with(space, column, 5.0)
-    found, tried = _search(there, ["nonlinear_stiffness"])
+    there = moved_by(space, column, 5.0)
+    found, tried = look(there, ["nonlinear_stiffness"])
     assert [f.name for f in found] == [("nameless", None)]
-    assert _best(tried, found[0]).covariates[0].startswith("on_")
-    found, _ = _search(there, ["nonlinear_stiffness", "clearance"])
+    assert best_of(tried, found[0]).covariates[0].startswith("on_")
+    found, _ = look(there, ["nonlinear_stiffness", "clearance"])
     assert [f.name[0] for f in found] == ["clearance"]
 
 
@@ -90,8 +90,9 @@ def test_a_side_that_loads_of_several_sizes_push_over_is_clearance(space: Worksp
     k = space.machine.joint_names.index("longitudinal") + 1
     there = space
     for width in (0.1, 0.5):
-        there = _with(there, Column("frame", "load_side_held", {"frame": k, "component": 3, "width": width}, k, 3), 3.0)
-    found, _ = _search(there, ["clearance", "nonlinear_stiffness"])
+        held = Column("frame", "load_side_held", {"frame": k, "component": 3, "width": width}, k, 3)
+        there = moved_by(there, held, 3.0)
+    found, _ = look(there, ["clearance", "nonlinear_stiffness"])
     assert [f.name for f in found] == [("clearance", "longitudinal")]
 
 
@@ -99,9 +100,9 @@ def test_clearance_and_stiffness_of_one_load_at_one_place_are_not_without_a_name
     """The two pull against each other, so that no form of either is both."""
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3}
-    there = _with(space, Column("frame", "load_side", {**where, "width": 0.1}, k, 3), 3.0)
-    there = _with(there, Column("frame", "load_power", {**where, "exponent": 2.5}, k, 3), 6.0)
-    found, _ = _search(there, ["clearance", "nonlinear_stiffness"])
+    there = moved_by(space, Column("frame", "load_side", {**where, "width": 0.1}, k, 3), 3.0)
+    there = moved_by(there, Column("frame", "load_power", {**where, "exponent": 2.5}, k, 3), 6.0)
+    found, _ = look(there, ["clearance", "nonlinear_stiffness"])
     assert found
     assert {f.name[0] for f in found} <= {"clearance", "nonlinear_stiffness"}
 
@@ -112,12 +113,12 @@ def test_what_a_loud_clearance_is_is_not_taken_for_what_a_quiet_one_of_the_next_
     k = space.machine.joint_names.index("yaw") + 1
     column = Column("frame", "load_side_held", {"frame": k, "component": 5, "width": 0.15}, k, 5)
     for times in (8.0, 20.0):
-        found, _ = _search(_with(space, column, times), ["clearance", "nonlinear_stiffness"])
+        found, _ = look(moved_by(space, column, times), ["clearance", "nonlinear_stiffness"])
         assert [f.name for f in found] == [("clearance", "yaw")]
 
 
 def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Workspace) -> None:
-    clearance = _named(space, "clearance")[0]
+    clearance = named(space, "clearance")[0]
 
     def widths(without: frozenset[str]) -> set[float]:
         near = near_forms(space.context, clearance, without)
@@ -134,7 +135,7 @@ def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_cle
     moved = space.context.jacobian[:, :, frame, component] * used_up[:, None]
     moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     for way, name in ((1.0, "clearance"), (-1.0, "nonlinear_stiffness")):
-        found, _ = _search(replace(space, data=space.data + way * moved), ["nonlinear_stiffness", "clearance"])
+        found, _ = look(replace(space, data=space.data + way * moved), ["nonlinear_stiffness", "clearance"])
         assert [f.name[0] for f in found] == [name]
 
 
@@ -146,9 +147,9 @@ def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_
     fallen = np.clip((load - 0.1 * load.std()) / (0.55 * load.std()), -1.0, 1.0)
     moved = space.context.jacobian[:, :, frame, component] * fallen[:, None]
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    found, tried = look(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
     assert [f.name for f in found] == [("clearance", "longitudinal")]
-    best = _best(tried, found[0]).columns[0].args
+    best = best_of(tried, found[0]).columns[0].args
     assert best["hard"]
     assert best["width"] in (0.5, 0.7)  # the grid's next to 0.55
 
@@ -157,9 +158,9 @@ def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}
     fast, slow = (Column("frame", "creeping", {**where, "tau": tau}, k, 3) for tau in (0.1, 0.8))
-    found, tried = _search(_with(_with(space, fast, 6.0), slow, 6.0), ["creep", "nonlinear_stiffness"])
+    found, tried = look(moved_by(moved_by(space, fast, 6.0), slow, 6.0), ["creep", "nonlinear_stiffness"])
     assert found[0].name == ("creep", "longitudinal")
-    candidate = _best(tried, found[0])
+    candidate = best_of(tried, found[0])
     said = parameters_of(candidate, np.array([1e-9, 2e-9]), np.array([1e-10, 1e-10]))
     assert [said[name]["value"] for name in ("tau_h", "slow_tau_h")] == [0.1, 0.8]
     assert (said["slow_compliance"]["value"], said["slow_compliance"]["unit"]) == (2e-9, "rad/(N m)")
@@ -178,9 +179,9 @@ def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space:
         followed[n] = follows
     moved = c.jacobian[:, :, k, 3] * (c.wrenches[:, k, 3] - followed)[:, None]
     moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["creep", "drift", "zero_shift"])
+    found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "zero_shift"])
     assert [f.name[0] for f in found] == ["creep"]
-    candidate = _best(tried, found[0])
+    candidate = best_of(tried, found[0])
     assert [column.args["form"] for column in candidate.columns] == ["total", "began"]
     assert "compliance_at_first" in parameters_of(candidate, np.ones(2), np.ones(2))
 
@@ -193,9 +194,9 @@ def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_t
     moved = zeros[:, None] * by_one
     moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     there = replace(space, data=space.data + moved)
-    found, tried = _search(there, ["wrench_error", "drift", "creep", "thermal_growth"])
+    found, tried = look(there, ["wrench_error", "drift", "creep", "thermal_growth"])
     assert [f.name for f in found] == [("wrench_error", None)]
-    best = _best(tried, found[0])
+    best = best_of(tried, found[0])
     assert (best.covariate, len(best.columns)) == ("My", 1 + block.max())
     said = finding(there, tried, found[0])["parameters"]
     assert sum(name.startswith("My_zero_step_after_") for name in said) == block.max()
@@ -210,9 +211,9 @@ def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_h
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(read)
     moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     there = replace(space, data=space.data + moved)
-    found, tried = _search(there, ["wrench_error", "tracker_scale", "drift", "creep"])
+    found, tried = look(there, ["wrench_error", "tracker_scale", "drift", "creep"])
     assert [f.name for f in found] == [("wrench_error", None)]
-    assert _best(tried, found[0]).covariate == "temp_air_C"
+    assert best_of(tried, found[0]).covariate == "temp_air_C"
     said = finding(there, tried, found[0])["parameters"]
     assert said["gain_per_kelvin_air_0_h"]["unit"] == "1/K"
 
@@ -226,9 +227,9 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(off)
     moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     there = replace(space, data=space.data + moved)
-    found, tried = _search(there, ["wrench_error", "creep", "drift"])
+    found, tried = look(there, ["wrench_error", "creep", "drift"])
     assert [f.name for f in found] == [("wrench_error", None)]
-    assert _best(tried, found[0]).covariate == "My"
+    assert best_of(tried, found[0]).covariate == "My"
     said = finding(there, tried, found[0])["parameters"]
     assert set(said) == {"My_by_My", "My_by_My_sided"}
 
@@ -238,7 +239,7 @@ def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(sp
     zeros = [Column("frames", "sensor_error", {"component": comp}).evaluate(space.context) for comp in range(6)]
     moved = np.einsum("knt,k->nt", np.array(zeros), off)
     moved *= 4e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
+    found, tried = look(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
     assert [f.name[0] for f in found] == ["wrench_error"]
-    said = parameters_of(_best(tried, found[0]), np.ones(6), np.ones(6))
+    said = parameters_of(best_of(tried, found[0]), np.ones(6), np.ones(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}

@@ -18,22 +18,22 @@ from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, _best, _named, _on_the_joint, _search, _travel, _with
+from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, on_joint, travel_of
 
 
 def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
-    found, tried = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis"], NAME)
+    found, tried = look(moved_by(space, on_joint(space, "approach"), 3.0), ["friction_hysteresis"], NAME)
     assert [f.name for f in found] == [("nameless", None)]
-    assert _best(tried, found[0]).covariates[0] == f"approach_{NAME}"
-    found, _ = _search(_with(space, _on_the_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"], NAME)
+    assert best_of(tried, found[0]).covariates[0] == f"approach_{NAME}"
+    found, _ = look(moved_by(space, on_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
 
 
 def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
     """Near forms that are the same or its opposite do not share it, nor make it vague."""
-    there = _with(space, _on_the_joint(space, "approach"), 2.0)
-    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
-    moved = _on_the_joint(space, "approach").evaluate(space.context)
+    there = moved_by(space, on_joint(space, "approach"), 2.0)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    moved = on_joint(space, "approach").evaluate(space.context)
     half = 2.0 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     gap = finding(there, tried, found[0])["parameters"]["gap"]
     assert gap["std"] < 0.1 * 2 * half
@@ -41,15 +41,15 @@ def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
 
 
 def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
-    width = 0.15 * _travel(space)
-    there = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
-    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    width = 0.15 * travel_of(space)
+    there = moved_by(space, on_joint(space, "slipping", width=width), 3.0)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     weights = found[0].weights
     assert sum(weights.values()) == pytest.approx(1.0, abs=0.01)
     assert weights["nameless", None] >= 0.99 * OUTSIDE
     assert weights["friction_hysteresis", NAME] > 0.85
-    assert _best(tried, found[0]).shape["width"] == pytest.approx(width)
+    assert best_of(tried, found[0]).shape["width"] == pytest.approx(width)
 
 
 def test_friction_of_a_joint_that_goes_a_little_past_where_it_comes_back_to_is_friction(space: Workspace) -> None:
@@ -58,8 +58,8 @@ def test_friction_of_a_joint_that_goes_a_little_past_where_it_comes_back_to_is_f
     approach = recording.approach.copy()
     approach[::4, k] *= -1  # a quarter of the visits, from the other side than the way from the last one says
     turned = replace(space, context=replace(space.context, recording=replace(recording, approach=approach)))
-    width, past = 0.15 * _travel(space), 0.03 * _travel(space)
-    there = _with(turned, _on_the_joint(turned, "slipping", width=width, past=past), 3.0)
+    width, past = 0.15 * travel_of(space), 0.03 * travel_of(space)
+    there = moved_by(turned, on_joint(turned, "slipping", width=width, past=past), 3.0)
     some = [each for each in library(turned.context) if each.effect in ("friction_hysteresis", "backlash")]
     tried = Tried(there, some, 5e-5)
     evidence = tried.evidence(tried.scores()[None])[0] + tried.log_share
@@ -74,12 +74,12 @@ def test_friction_of_a_joint_that_goes_a_little_past_where_it_comes_back_to_is_f
 
 def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) -> None:
     k = space.machine.joint_names.index(NAME)
-    width, weight = 0.15 * _travel(space), np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
-    lag = _on_the_joint(space, "slipping", width=width)
+    width, weight = 0.15 * travel_of(space), np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
+    lag = on_joint(space, "slipping", width=width)
     moved = lag.evaluate(space.context) * (weight / weight.mean())[:, None]  # Coulomb's, by hand
     moved *= 4 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     there = replace(space, data=space.data + moved)
-    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     said = finding(there, tried, found[0])["parameters"]
     assert list(said)[:2] == ["lag", "added_at_twice_the_load"]
@@ -89,9 +89,9 @@ def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) ->
 
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
     """What it loses is more than an eighth of the way over which it builds up."""
-    width = 0.02 * _travel(space)
-    there = _with(space, _on_the_joint(space, "slipping", width=width), 6.0)
-    found, _ = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    width = 0.02 * travel_of(space)
+    there = moved_by(space, on_joint(space, "slipping", width=width), 6.0)
+    found, _ = look(there, ["friction_hysteresis", "backlash"], NAME)
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
@@ -102,10 +102,10 @@ def test_what_is_taken_up_within_a_hundredth_of_the_travel_is_play_between_soft_
     space: Workspace, form: tuple[str, str]
 ) -> None:
     function, how = form
-    there = _with(space, _on_the_joint(space, function, **{how: 0.004 * _travel(space)}), 3.0)
-    found, tried = _search(there, ["friction_hysteresis", "backlash"], NAME)
+    there = moved_by(space, on_joint(space, function, **{how: 0.004 * travel_of(space)}), 3.0)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
-    assert _best(tried, found[0]).shape["width"] == pytest.approx(0.005 * _travel(space))
+    assert best_of(tried, found[0]).shape["width"] == pytest.approx(0.005 * travel_of(space))
     assert {"gap", "width"} <= set(finding(there, tried, found[0])["parameters"])
 
 
@@ -116,21 +116,21 @@ def test_what_is_taken_up_over_far_more_than_could_be_lost_is_no_play(space: Wor
     column = Column("frame", "winding", {"joint": k, "way": 0.01 * travel}, k + 1, own_component(space.context, k))
     precise = replace(space.machine, repeatability=5e-6)
     for machine, name in ((replace(precise, repeatability=1e-3), "backlash"), (precise, "friction_hysteresis")):
-        there = _with(replace(space, machine=machine, context=replace(space.context, machine=machine)), column, 3.0)
+        there = moved_by(replace(space, machine=machine, context=replace(space.context, machine=machine)), column, 3.0)
         some = [c for c in library(there.context) if c.effect in ("backlash", "friction_hysteresis")]
-        tried = Tried(there, some + _named(space, "nameless")[:1], 5e-5)
+        tried = Tried(there, some + named(space, "nameless")[:1], 5e-5)
         found = search(there, tried, np.random.default_rng(0))
         assert [f.name for f in found] == [(name, "longitudinal")]
-        assert _best(tried, found[0]).shape.get("width", 0.0) <= 0.0101 * travel
+        assert best_of(tried, found[0]).shape.get("width", 0.0) <= 0.0101 * travel
 
 
 @pytest.mark.parametrize(("unsure", "may_be"), [(0.0, False), (0.05, True)])
 def test_a_loss_that_is_not_sure_may_be_larger(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, unsure: float, may_be: bool
 ) -> None:
-    width = 0.04 * _travel(space)
-    slipping = _with(space, _on_the_joint(space, "slipping", width=width), 3.0)
-    found, tried = _search(slipping, ["friction_hysteresis"], NAME)
+    width = 0.04 * travel_of(space)
+    slipping = moved_by(space, on_joint(space, "slipping", width=width), 3.0)
+    found, tried = look(slipping, ["friction_hysteresis"], NAME)
     tried.names.append(("backlash", NAME))
     lag = np.array([0.05 * width]), np.array([unsure * width]), 0.0
     monkeypatch.setattr(weights, "coefficients", lambda *_: lag)
@@ -143,9 +143,9 @@ def test_what_pulls_sideways_with_the_approach_is_no_lost_motion(space: Workspac
     """A cable: the joint itself is where its encoder says."""
     k = space.machine.joint_names.index("vertical")
     drag = Column("frame", "approach", {"joint": k}, k + 1, 0)
-    found, tried = _search(_with(space, drag, 3.0), ["backlash", "friction_hysteresis"])
+    found, tried = look(moved_by(space, drag, 3.0), ["backlash", "friction_hysteresis"])
     assert {f.name for f in found} == {("nameless", None)}
-    assert {"approach_vertical", "move_vertical"} & {_best(tried, f).covariates[0] for f in found}
+    assert {"approach_vertical", "move_vertical"} & {best_of(tried, f).covariates[0] for f in found}
 
 
 @pytest.mark.parametrize(("own", "stands"), [(1.0, True), (0.0, False)])
@@ -153,14 +153,14 @@ def test_a_carriage_may_rock_as_it_loses_motion_but_what_only_rocks_is_a_cable(
     space: Workspace, own: float, stands: bool
 ) -> None:
     k = space.machine.joint_names.index(NAME)
-    along = _on_the_joint(space, "approach")
+    along = on_joint(space, "approach")
     across = replace(along, component=next(comp for comp in (3, 4, 5) if comp != along.component))
-    there = _with(_with(space, along, 2.0 * own), across, 2.0)
-    found, tried = _search(there, ["backlash", "friction_hysteresis"], NAME)
+    there = moved_by(moved_by(space, along, 2.0 * own), across, 2.0)
+    found, tried = look(there, ["backlash", "friction_hysteresis"], NAME)
     assert [f.name for f in found] == [("backlash", NAME) if stands else ("nameless", None)]
     if stands:
         said = finding(there, tried, found[0])
         rocking = f"rocking_{COMPONENTS[across.component]}"
         assert {name: p["unit"] for name, p in said["parameters"].items()} == {"gap": "rad", rocking: "rad"}
         assert "rocks" in said["sentence"]
-        assert _best(tried, found[0]).columns[1].frame == k + 1
+        assert best_of(tried, found[0]).columns[1].frame == k + 1

@@ -13,7 +13,7 @@ from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import stand_ins
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, _best, _named, _search, _with
+from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named
 
 
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
@@ -21,9 +21,9 @@ def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(
     air, q = space.recording.temperatures["air"], space.recording.q[:, other]
     moved = space.context.jacobian[:, :, k + 1, 0] * ((air - air.mean()) * (q - q.mean()))[:, None]
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["thermal_growth", "wrench_error", "tracker_scale"])
+    found, tried = look(replace(space, data=space.data + moved), ["thermal_growth", "wrench_error", "tracker_scale"])
     assert {f.name for f in found} == {("nameless", None)}
-    assert set(_best(tried, found[0]).covariates) >= {"q_yaw"}
+    assert set(best_of(tried, found[0]).covariates) >= {"q_yaw"}
 
 
 def test_a_screw_s_wave_without_its_name_is_unexplained_over_its_joint(space: Workspace) -> None:
@@ -31,19 +31,19 @@ def test_a_screw_s_wave_without_its_name_is_unexplained_over_its_joint(space: Wo
     period = float(np.ptp(space.recording.q[:, k])) / 44.3
     own = own_component(space.context, k)
     wave = Column("frame", "wave", {"joint": k, "period": period, "phase": "sin"}, k + 1, own)
-    found, tried = _search(_with(space, wave, 2.0), ["cross_coupling", "friction_hysteresis"])
+    found, tried = look(moved_by(space, wave, 2.0), ["cross_coupling", "friction_hysteresis"])
     assert [f.name for f in found] == [("nameless", None)]
-    assert _best(tried, found[0]).covariates == ("q_longitudinal",)
+    assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
     assert 0.8e-4 < found[0].size < 1.2e-4
 
 
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
     """Wherever it turns, with the column that it depends on and at its own place."""
     bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
-    there = _with(space, Column("frame", "covariate", bend, 3, 4), 1.0)
-    found, tried = _search(there, ["friction_hysteresis", "backlash", "cross_coupling"])
+    there = moved_by(space, Column("frame", "covariate", bend, 3, 4), 1.0)
+    found, tried = look(there, ["friction_hysteresis", "backlash", "cross_coupling"])
     assert [f.name for f in found] == [("nameless", None)]
-    best = _best(tried, found[0])
+    best = best_of(tried, found[0])
     assert best.covariates == (f"previous_q_{NAME}",)
     assert (best.frame, best.component) == (space.machine.frame_names[3], "ry")
 
@@ -56,16 +56,16 @@ def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Wo
     tooth = np.abs((q / period) % 1.0 - 0.2)
     moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * tooth[:, None]
     moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["cross_coupling", "moving_weight"])
+    found, tried = look(replace(space, data=space.data + moved), ["cross_coupling", "moving_weight"])
     assert {f.name for f in found} == {("nameless", None)}
-    assert _best(tried, found[0]).covariates == (f"q_{NAME}",)
+    assert best_of(tried, found[0]).covariates == (f"q_{NAME}",)
 
 
 def test_a_coupling_by_waves_keeps_its_name_beside_any_function_of_the_two(space: Workspace) -> None:
     a, b = (space.machine.joint_names.index(name) for name in ("longitudinal", "yaw"))
     period = float(np.ptp(space.recording.q[:, a])) / 1.3
     args = {"joint": a, "period": period, "phase": "sin", "by": b}
-    found, _ = _search(_with(space, Column("frame", "wave_q", args, a + 1, 1), 3.0), ["cross_coupling"])
+    found, _ = look(moved_by(space, Column("frame", "wave_q", args, a + 1, 1), 3.0), ["cross_coupling"])
     assert [f.name[0] for f in found] == ["cross_coupling"]
 
 
@@ -77,9 +77,9 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     ways = np.random.default_rng(3).normal(size=(c.points.shape[1], 3))
     moved = np.einsum("nij,tj,n->nti", c.tips[:, :3, :3], ways, read).reshape(len(read), -1)
     moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
+    found, tried = look(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
     assert [f.name[0] for f in found] == ["nameless"]
-    assert _best(tried, found[0]).covariates == (load,)
+    assert best_of(tried, found[0]).covariates == (load,)
 
 
 def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_its_angle(space: Workspace) -> None:
@@ -88,12 +88,12 @@ def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_
     level = np.stack([rays[..., 2], 0 * around, -rays[..., 0]], axis=-1)
     moved = (np.sin(31.5 * around + 0.4)[..., None] * level).reshape(len(rays), -1)
     moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    some = _named(space, "nameless", "drift", "tracker_scale")
+    some = named(space, "nameless", "drift", "tracker_scale")
     there = replace(space, data=space.data + moved)
     tried = Tried(there, some, 5e-5)
     found = search(there, tried, np.random.default_rng(0))
     assert [f.name[0] for f in found] == ["nameless"]
-    assert _best(tried, found[0]).covariate == "azimuth"
+    assert best_of(tried, found[0]).covariate == "azimuth"
 
 
 def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace) -> None:
@@ -105,7 +105,7 @@ def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace)
         seats[v] = seats[v - 1] if v and abs(q[v] - q[v - 1]) < 1e-6 else rng.choice([-1.0, 1.0])
     moved = space.context.jacobian[:, :, k + 1, 4] * seats[:, None]
     moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    some = [j for j in _named(space, "nameless") if any(name.startswith("stay_") for name in j.covariates)]
+    some = [j for j in named(space, "nameless") if any(name.startswith("stay_") for name in j.covariates)]
     assert {name for j in some for name in j.covariates} >= {"stay_pitch", "stay_roll", "stay_lateral"}
     tried = Tried(replace(space, data=space.data + moved), some, 5e-5)
     best = some[int(np.argmax(tried.evidence(tried.scores()[None])[0]))]
@@ -119,12 +119,12 @@ def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(
     moved = (space.context.jacobian[:, :, 0, :3] @ np.array([0.5, 1.0, -0.3])) * on[:, None]
     moved *= 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     there = replace(space, data=space.data + moved)
-    found, tried = _search(there, ["drift", "creep"], "time")
+    found, tried = look(there, ["drift", "creep"], "time")
     assert [f.name[0] for f in found] == ["nameless"]
-    ((column, said),) = stand_ins(space.context, _best(tried, found[0]))
+    ((column, said),) = stand_ins(space.context, best_of(tried, found[0]))
     assert (column, said.split()[-1]) == ("time", "min")
     assert float(said.split()[-2]) == pytest.approx(minutes, rel=0.06)
-    beat, c = _best(tried, found[0]).columns[0], space.context
+    beat, c = best_of(tried, found[0]).columns[0], space.context
     assert np.abs(beat.value(c)).max() > 0.9
     assert not beat.value(replace(c, hours=c.hours + 36.0)).any()  # where it is then nobody knows
 
@@ -132,9 +132,9 @@ def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(
 def test_what_two_joints_sides_do_together_is_said_in_both(space: Workspace) -> None:
     args = {"first": "approach_yaw", "second": "approach_lateral", "a": 0, "b": 0, "count": 1}
     together = Column("frame", "covariate_pair", args, space.machine.joint_names.index("roll") + 1, 4)
-    found, tried = _search(_with(space, together, 3.0), ["backlash", "friction_hysteresis"], "yaw")
+    found, tried = look(moved_by(space, together, 3.0), ["backlash", "friction_hysteresis"], "yaw")
     assert [f.name[0] for f in found] == ["nameless"]
-    assert {column for column, _ in stand_ins(space.context, _best(tried, found[0]))} == {
+    assert {column for column, _ in stand_ins(space.context, best_of(tried, found[0]))} == {
         "approach_yaw", "approach_lateral",
     }  # fmt: skip
 
@@ -145,9 +145,9 @@ def test_a_guide_that_wears_where_it_is_used_does_not_grow_with_a_temperature(sp
     at = (c.recording.q[:, k] - c.recording.q[:, k].min()) / np.ptp(c.recording.q[:, k])
     moved = c.jacobian[:, :, k + 1, 4] * (c.hours / c.hours[-1] * np.cos(5.0 * at + 0.7))[:, None]
     moved *= 1.5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = _search(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
+    found, tried = look(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
     assert {f.name[0] for f in found} == {"nameless"}
-    assert set(_best(tried, found[0]).covariates) == {"q_longitudinal", "time"}
+    assert set(best_of(tried, found[0]).covariates) == {"q_longitudinal", "time"}
 
 
 def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor(space: Workspace) -> None:
@@ -157,8 +157,8 @@ def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor
     moved = np.einsum("nia,na->ni", c.jacobian[:, :, k], bent)
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     some = ["thermal_growth", "wrench_error", "creep"]
-    found, tried = _search(replace(space, data=space.data + moved), some, "longitudinal")
+    found, tried = look(replace(space, data=space.data + moved), some, "longitudinal")
     assert [f.name[0] for f in found] == ["nameless"]
-    assert _best(tried, found[0]).columns[0].function == "softened"
-    (_, where), (warm, _) = stand_ins(c, _best(tried, found[0]))
+    assert best_of(tried, found[0]).columns[0].function == "softened"
+    (_, where), (warm, _) = stand_ins(c, best_of(tried, found[0]))
     assert (where, warm) == ("on longitudinal", "temp_air_C")
