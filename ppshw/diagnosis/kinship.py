@@ -46,11 +46,11 @@ def of_its_kind(
         case "drift":
             return rival.frame == "base" and all(name == "time" or name.endswith(inside) for name in over)
         case "zero_shift":
-            return here and all(column.function == "step" for column in rival.columns)
+            there = here or (_alike(named, rival, parallel) and named.component == rival.component)
+            return there and all(column.function == "step" for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
-            shifts = not any((k.component or "").startswith("r") for k in (named, rival))
-            there = rival.frame == named.frame or (shifts and {rival.frame, named.frame} <= {"base", *parallel})
+            there = rival.frame == named.frame or _alike(named, rival, parallel)
             return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "periodic_transmission":  # a band of waves over its own position, its own among them
             return here and over == {named.covariate} and all(column.function == "wave" for column in rival.columns)
@@ -91,6 +91,12 @@ def _of_its_load(named: Candidate, rival: Candidate) -> bool:
     """Whether a rival is a function of the very load that the name goes with, at the very place."""
     here = (named.frame, named.component) == (rival.frame, rival.component)
     return here and rival.covariates == (f"on_{named.frame}_{named.covariate}",)
+
+
+def _alike(named: Candidate, rival: Candidate, parallel: Collection[str]) -> bool:
+    """Whether both are shifts, of frames that never turn against the base."""
+    shifts = not any((k.component or "").startswith("r") for k in (named, rival))
+    return shifts and {rival.frame, named.frame} <= {"base", *parallel}
 
 
 def never_turned(machine: Machine) -> list[str]:

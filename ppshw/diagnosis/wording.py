@@ -20,6 +20,7 @@ from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 
 Array = NDArray[np.float64]
+MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 LEAST_WEIGHT = 0.01
 WEIGHT_TOLD = 0.1  # on the terminal
 LEAST_P = 1e-12
@@ -139,6 +140,8 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         if _rocks(candidate):
             across = COMPONENTS[candidate.columns[-1].component]
             names[1], factors[1], units[1] = f"rocking_{across}", -2.0, "m" if across.startswith("t") else "rad"
+        if "pressed" in candidate.columns[-1].args:
+            names[1], factors[1] = MORE_BY_LOAD, -2.0
     elif candidate.effect == "periodic_transmission":
         amplitude = float(np.hypot(values[0], values[1]))
         spread = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
@@ -162,7 +165,7 @@ def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, 
         names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
         units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
     elif candidate.effect == "friction_hysteresis":
-        names = ["lag", "added_at_twice_the_load"][: len(values)]
+        names = ["lag", MORE_BY_LOAD][: len(values)]
     elif candidate.effect == "zero_shift":
         back = candidate.columns[-1].function == "settling"
         names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]

@@ -50,6 +50,16 @@ def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
     assert not of_its_kind(named, stranger)
 
 
+def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> None:
+    named = _named("zero_shift", "vertical", "vertical", "ty", "time")
+    rails = ("lateral", "vertical")
+    for frame in ("base", "lateral"):
+        assert of_its_kind(named, _rival(frame, "ty", "time", function="step"), rails)
+        assert not of_its_kind(named, _rival(frame, "tx", "time", function="step"), rails)
+        assert not of_its_kind(named, _rival(frame, "ty", "time", function="step"))
+        assert not of_its_kind(named, _rival(frame, "ty", "time", function="clock"), rails)
+
+
 def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> None:
     named = _named("thermal_growth", "vertical", "vertical", None, "temp_air_C")
     rails = ("lateral", "vertical")

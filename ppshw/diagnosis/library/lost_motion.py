@@ -39,6 +39,9 @@ def backlash(c: Context) -> Iterator[Candidate]:
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
             yield Candidate(*where, columns, share=share)
+        for by in (-1, own):  # a gap that the load takes up
+            taken = Column("frame", "approach", {"joint": k, "pressed": by}, k + 1, own)
+            yield Candidate(*where, (sign, taken), share=0.05)
         for comp in range(6):
             if comp != own:  # a carriage that rocks as it turns back
                 rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)

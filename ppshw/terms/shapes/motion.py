@@ -15,8 +15,10 @@ from ppshw.terms.shapes.covariates import bump, covariate, named_column
 Array = NDArray[np.float64]
 
 
-def approach(c: Context, joint: int) -> Array:
-    return c.recording.approach[:, joint].astype(float)
+def approach(c: Context, joint: int, pressed: int | None = None) -> Array:
+    """The side a joint came from; with `pressed` what is more of it where the joint is loaded more than on average."""
+    side = c.recording.approach[:, joint].astype(float)
+    return side if pressed is None else side * _pressed(c, joint, pressed)
 
 
 def approach_q(c: Context, joint: int, power: int = 1) -> Array:
@@ -53,7 +55,7 @@ def winding(c: Context, joint: int, way: float, pressed: int | None = None, past
 
 def _pressed(c: Context, joint: int, component: int) -> Array:
     """By what share a joint's load is above its mean: the force upon it (-1), or what its drive holds (a component),
-    either way. Friction goes with it (Coulomb)."""
+    either way. Friction goes with it (Coulomb), and a gap that a load takes up against it."""
     w = c.wrenches[:, joint + 1]
     load = np.linalg.norm(w[:, :3], axis=1) if component < 0 else np.abs(w[:, component])
     return np.asarray(load / max(c.frozen(f"pressed.{joint}.{component}", float(load.mean())), 1e-9) - 1.0)

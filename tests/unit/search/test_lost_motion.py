@@ -40,6 +40,19 @@ def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
     assert gap["value"] == pytest.approx(-2 * half, abs=3 * gap["std"])
 
 
+def test_a_gap_that_a_load_takes_up_is_play_and_says_by_how_much(space: Workspace) -> None:
+    k, own = space.machine.joint_names.index(NAME), own_component(space.context, space.machine.joint_names.index(NAME))
+    held = np.abs(space.context.wrenches[:, k + 1, own])
+    moved = on_joint(space, "approach").evaluate(space.context) / (1.0 + 2.0 * held / held.mean())[:, None]
+    moved *= 4 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("backlash", NAME)]
+    said = finding(there, tried, found[0])["parameters"]
+    assert list(said)[:2] == ["gap", "added_at_twice_the_load"]
+    assert -1.0 < said["added_at_twice_the_load"]["value"] / said["gap"]["value"] < -0.1
+
+
 def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
     width = 0.15 * travel_of(space)
     there = moved_by(space, on_joint(space, "slipping", width=width), 3.0)

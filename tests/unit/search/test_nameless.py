@@ -162,3 +162,17 @@ def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor
     assert best_of(tried, found[0]).columns[0].function == "softened"
     (_, where), (warm, _) = stand_ins(c, best_of(tried, found[0]))
     assert (where, warm) == ("on longitudinal", "temp_air_C")
+
+
+def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_crane_s_place(space: Workspace) -> None:
+    """In several directions at once, over a column that no name is about."""
+    moved = sum(
+        size * Column("frame", "covariate", {"name": "cov_humidity"}, 0, comp).evaluate(space.context)
+        for comp, size in ((0, 2e-5), (2, -4e-5), (3, 1.5e-5), (4, 2e-5), (5, -1e-5))
+    )
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["zero_shift", "drift", "thermal_growth"], "cov_humidity")
+    assert [f.name for f in found] == [("nameless", None)]
+    best = best_of(tried, found[0])
+    assert (best.frame, best.component, best.covariates) == ("base", None, ("cov_humidity",))
+    assert {column.component for column in best.columns} == set(range(6))
