@@ -8,12 +8,14 @@ a part of the main form.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
 from ppshw.diagnosis.library.lost_motion import winds_up
-from ppshw.diagnosis.library.sampled import LAGS_H
+from ppshw.diagnosis.library.sampled import LAGS_H, presses
 from ppshw.terms.shapes import Column, Context
 
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.
@@ -91,10 +93,10 @@ def _drift(c: Context, k: Candidate) -> list[Column]:
 
 def _periodic(c: Context, k: Candidate) -> list[Column]:
     joint, period = k.columns[0].args["joint"], k.columns[0].args["period"]
-    return [
-        _on(k, "wave", joint=joint, period=period / harmonic, phase=phase)
-        for harmonic in (2, 3, 4) for phase in ("sin", "cos")
-    ]  # fmt: skip
+    phases = ("sin", "cos")
+    out = [_on(k, "wave", joint=joint, period=period / n, phase=phase) for n in (2, 3, 4) for phase in phases]
+    by_load = itertools.product(presses(c, joint), phases)  # teeth give way
+    return out + [_on(k, "wave", joint=joint, period=period, phase=phase, pressed=by) for by, phase in by_load]
 
 
 def _by_load(c: Context, k: Candidate) -> list[Column]:

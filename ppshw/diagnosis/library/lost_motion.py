@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component
+from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component, presses
 from ppshw.terms import COMPONENTS
 from ppshw.terms.history import STANDSTILL
 from ppshw.terms.shapes import Column, Context
@@ -39,7 +39,7 @@ def backlash(c: Context) -> Iterator[Candidate]:
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
             yield Candidate(*where, columns, share=share)
-        for by in (-1, own):  # a gap that the load takes up
+        for by in presses(c, k):  # a gap that the load takes up
             taken = Column("frame", "approach", {"joint": k, "pressed": by}, k + 1, own)
             yield Candidate(*where, (sign, taken), share=0.05)
         for comp in range(6):
@@ -60,7 +60,7 @@ def friction(c: Context) -> Iterator[Candidate]:
         for width, column in _taken_up(c, k, parts):
             for lag, shape, share in _went_past(c, k, column):
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
-                for by in (-1, own_component(c, k)):
+                for by in presses(c, k):
                     more = replace(lag, args={**lag.args, "pressed": by})
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
 

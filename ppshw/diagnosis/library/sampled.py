@@ -10,6 +10,7 @@ from ppshw.machine import Machine
 from ppshw.terms.shapes import Column, Context
 
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # behind a thermometer
+VARIES = 0.05  # of its largest value: a load that varies less is constant
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 
 
@@ -34,7 +35,15 @@ def loads_on(c: Context, frame: int) -> list[int]:
     w = c.wrenches[:, frame]
     size = np.abs(w).max(axis=0)
     reference = np.array([size[:3].max()] * 3 + [size[3:].max()] * 3)
-    return [k for k in range(6) if np.ptp(w[:, k]) > 0.05 * max(reference[k], 1e-9)]
+    return [k for k in range(6) if np.ptp(w[:, k]) > VARIES * max(reference[k], 1e-9)]
+
+
+def presses(c: Context, k: int) -> list[int]:
+    """By which loads that really vary lost motion of joint k and its teeth may go: the force upon it (-1), or what its
+    drive holds (a component)."""
+    own, force = own_component(c, k), np.linalg.norm(c.wrenches[:, k + 1, :3], axis=1)
+    out = [-1] if np.ptp(force) > VARIES * force.max() else []
+    return [*out, own] if own in loads_on(c, k + 1) else out
 
 
 def elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:

@@ -55,7 +55,7 @@ def winding(c: Context, joint: int, way: float, pressed: int | None = None, past
 
 def _pressed(c: Context, joint: int, component: int) -> Array:
     """By what share a joint's load is above its mean: the force upon it (-1), or what its drive holds (a component),
-    either way. Friction goes with it (Coulomb), and a gap that a load takes up against it."""
+    either way. Friction goes with it (Coulomb), a gap that a load takes up against it."""
     w = c.wrenches[:, joint + 1]
     load = np.linalg.norm(w[:, :3], axis=1) if component < 0 else np.abs(w[:, component])
     return np.asarray(load / max(c.frozen(f"pressed.{joint}.{component}", float(load.mean())), 1e-9) - 1.0)
@@ -66,9 +66,11 @@ def seated(c: Context, joint: int, stay: int) -> Array:
     return np.asarray((named_column(c, f"stay_{c.machine.joint_names[joint]}") == stay).astype(float))
 
 
-def wave(c: Context, joint: int, period: float, phase: str) -> Array:
+def wave(c: Context, joint: int, period: float, phase: str, pressed: int | None = None) -> Array:
+    """With `pressed` what is more of it where the joint is loaded more than on average, as of teeth that give way."""
     angle = 2 * np.pi * c.recording.q[:, joint] / period
-    return np.asarray(np.sin(angle) if phase == "sin" else np.cos(angle))
+    whole = np.sin(angle) if phase == "sin" else np.cos(angle)
+    return np.asarray(whole if pressed is None else whole * _pressed(c, joint, pressed))
 
 
 def wave_q(c: Context, joint: int, period: float, phase: str, by: int) -> Array:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.found import Found, take_up
+from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import SHADOW, caster_of
-from ppshw.diagnosis.workspace import Workspace
+from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import (
     NAME,
@@ -270,3 +272,31 @@ def test_what_another_joint_does_over_its_position_is_no_shadow_of_what_leaves_n
     found = search(there, Tried(there, some, 5e-5), np.random.default_rng(0))
     assert {f.name[0] for f in found} == {"nonlinear_stiffness", "cross_coupling"}
     assert next(f.first for f in found if f.name[0] == "cross_coupling") < SHADOW * found[0].first
+
+
+def test_a_wave_of_teeth_that_give_way_under_their_load_leaves_nothing_beside_its_name(space: Workspace) -> None:
+    k = space.machine.joint_names.index(NAME)
+    wave = on_joint(space, "wave", period=travel_of(space) / 20, phase="sin").evaluate(space.context)
+    weight = np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
+    moved = wave * (weight / weight.mean())[:, None]
+    moved *= 10 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, _ = look(replace(space, data=space.data + moved), ["periodic_transmission"], NAME)
+    assert [f.name for f in found] == [("periodic_transmission", NAME)]
+    assert sum(column.args.get("pressed") == -1 for column in found[0].near) == 2
+
+
+def test_what_goes_with_a_load_that_never_changes_is_no_column_beside_a_name(space: Workspace) -> None:
+    """The rail at the bottom bears all of the machine, and no patient here."""
+    recording = replace(space.recording, wrench=np.zeros_like(space.recording.wrench), has_wrench=False)
+    alone = prepare(space.machine, recording, np.ones(len(recording), dtype=bool))
+    for joint, varies in ((0, False), (space.machine.joint_names.index(NAME), True)):
+        some = [
+            k for k in library(alone.context)
+            if (k.effect, k.joint) == ("periodic_transmission", space.machine.joint_names[joint])
+        ][:1]  # fmt: skip
+        tried = Tried(alone, some, 5e-5)
+        found = [Found(0, tried.name(0), 0.0, 20.0)]
+        take_up(alone, tried, found)
+        drive = own_component(alone.context, joint)
+        assert any(column.args.get("pressed") == drive for column in found[0].near) == varies
+        assert np.isfinite(alone.log_evidence())
