@@ -278,8 +278,9 @@ def left_by_answer(
     judged: Json,
 ) -> float | None:  # fmt: skip
     """What an answer that is amiss leaves of the truth, `least_left`: all of it beside one form of every name given, or
-    what has no name there beside what has and one form of every wrong name; the less of the two."""
-    given = {(f["effect"], f["joint"]) for f in answer["findings"]}
+    what has no name there beside what has and one form of every wrong name; the less of the two. Scatter moves nothing
+    and leaves it all."""
+    given = {(f["effect"], f["joint"]) for f in answer["findings"] if f["effect"] not in NOISE_EFFECTS}
     out = [least_left(machine, recording, base, np.sum(fields, axis=0), truth, given)]
     missed = [field for field, named in zip(fields, judged["named"], strict=True) if not named]
     if missed:

@@ -491,6 +491,9 @@ def test_a_wrong_name_is_scored_with_what_it_leaves(tmp_path: Path) -> None:
     (truth,) = found["truth"]
     assert 0.0 < found["sqrt_lambda_left"] < truth["sqrt_lambda"]
     assert found["held_out"]["rms_after_mm"] == found["held_out"]["rms_before_mm"]
+    scatter = {**said, "effect": "outliers", "joint": None, "component": None, "covariate": "visit", "weight": 1.0}
+    both = score_case(case, tmp_path / "sealed", {**answer, "findings": [scatter, said]}, None, 1.0)
+    assert both["sqrt_lambda_left"] == found["sqrt_lambda_left"]  # moves nothing
 
 
 def test_the_bound_grows_with_the_effect_and_sees_nothing_of_what_the_base_model_can_be(tmp_path: Path) -> None:
