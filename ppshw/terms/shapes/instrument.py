@@ -11,9 +11,10 @@ from ppshw.terms.shapes.time_and_heat import temperature
 Array = NDArray[np.float64]
 
 
-def scale(c: Context, place: str = "") -> Array:
-    """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature."""
-    return _rays(c, place)
+def scale(c: Context, place: str = "", tau: float = 0.0) -> Array:
+    """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature, lagging by tau
+    hours where the beam's air follows the thermometer's."""
+    return _rays(c, place, tau)
 
 
 def strain(c: Context, first: int, second: int, place: str = "") -> Array:
@@ -52,10 +53,10 @@ def refraction(c: Context, place: str, part: int) -> Array:
     return np.asarray((parts[part] * temperature(c, place, 0.0)[:, None])[..., None] * up)
 
 
-def _rays(c: Context, place: str) -> Array:
+def _rays(c: Context, place: str, tau: float = 0.0) -> Array:
     """(N, T, 3) from the instrument to the targets; times a temperature with a place."""
     rays = c.points - c.measuring_in_base[:3, 3]
-    return np.asarray(rays * temperature(c, place, 0.0)[:, None, None] if place else rays)
+    return np.asarray(rays * temperature(c, place, tau)[:, None, None] if place else rays)
 
 
 def seen_at(c: Context, angle: str) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import pytest
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import search
-from ppshw.diagnosis.wording import stand_ins
+from ppshw.diagnosis.wording import finding, stand_ins
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named
@@ -176,3 +176,18 @@ def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_cran
     best = best_of(tried, found[0])
     assert (best.frame, best.component, best.covariates) == ("base", None, ("cov_humidity",))
     assert {column.component for column in best.columns} == set(range(6))
+
+
+def test_a_scale_that_follows_the_air_late_about_a_tracker_elsewhere_is_the_scale(space: Workspace) -> None:
+    """Not a base that shifts with that temperature."""
+    late = {"place": "air", "tau": 1.0}
+    moved = 1.5e-5 * Column("points", "scale", late).evaluate(space.context)
+    for comp, metres in ((0, -4.7), (1, 3.9), (2, 1.5)):  # from the origin of the base to the instrument
+        moved -= 1.5e-5 * metres * Column("frame", "temperature", late, 0, comp).evaluate(space.context)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["tracker_scale", "thermal_growth"], "temp_air_C")
+    assert [f.name for f in found] == [("tracker_scale", None)]
+    said = finding(there, tried, found[0])["parameters"]
+    assert said["lag_h"]["value"] == 1.0
+    assert said["scale_per_K"]["std"] < 0.5e-5
+    assert abs(said["scale_per_K"]["value"] - 1.5e-5) < 3 * said["scale_per_K"]["std"]
