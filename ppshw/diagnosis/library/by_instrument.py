@@ -25,11 +25,7 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3)
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
             late = Column("points", "scale", {"place": place, "tau": tau})
-            follow = tuple(Column("frame", "temperature", {"place": place, "tau": tau}, 0, comp) for comp in range(3))
-            for columns in ((late,), (late, *follow)):
-                yield Candidate(
-                    "tracker_scale", None, None, None, f"temp_{place}_C", columns, {"lag_h": tau}, share=0.05
-                )  # fmt: skip
+            yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), {"lag_h": tau}, share=0.05)
 
 
 def force_sensor(c: Context) -> Iterator[Candidate]:
