@@ -57,13 +57,14 @@ def base_in_all_directions(c: Context) -> Iterator[Candidate]:
     """The base shifts with one column, each direction by a function of its own: nobody knows its axes. With what no
     name is about it may tilt as well, by functions of their own or in proportion. What warms within the machine is
     unlikely to move what it stands on."""
-    slow = ("time", *nobody_knows(c), *(s for s in [*columns_of(c), *late_columns(c)] if "temp_" in s))
+    strange = nobody_knows(c)
+    slow = ("time", *strange, *(s for s in [*columns_of(c), *late_columns(c)] if "temp_" in s))
     for name in slow:
         whole: dict[str, object] = {"name": name}
         bent = [{**whole, "count": 3, "knot": j} for j in range(3)]
         share = FROM_WITHIN if name.endswith(within(c.machine)) else 1.0
         ways = [(range(3), bent)]
-        ways += [(range(6), bent), (range(6), [whole])] if name in nobody_knows(c) else []
+        ways += [(range(6), bent), (range(6), [whole])] if name in strange else []
         for directions, forms in ways:
             moves = [Column("frame", "covariate", args, 0, comp) for args in forms for comp in directions]
             yield replace(rival(c, 0, None, (name,), moves), share=share)

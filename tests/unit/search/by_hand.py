@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found
@@ -16,6 +17,7 @@ from ppshw.diagnosis.search import search
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
 
+Array = NDArray[np.float64]
 NAME = "pitch"  # whose travel is short
 
 
@@ -30,9 +32,12 @@ def travel_of(space: Workspace) -> float:
 
 def moved_by(space: Workspace, column: Column, times: float) -> Workspace:
     """The same recording of a machine whose joint does this as well, so many repeatabilities rms at the reflectors."""
-    moved = column.evaluate(space.context)
-    moved *= times * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    return replace(space, data=space.data + moved)
+    return replace(space, data=space.data + of_size(space, column.evaluate(space.context), times))
+
+
+def of_size(space: Workspace, moved: Array, times: float) -> Array:
+    """A displacement (N, 3T) made so many repeatabilities rms at the reflectors."""
+    return np.asarray(moved * (times * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())))
 
 
 _CANDIDATES: dict[int, list[Candidate]] = {}  # of a context, which all workspaces of a recording share

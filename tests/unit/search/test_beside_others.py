@@ -25,6 +25,7 @@ from tests.unit.search.by_hand import (
     look,
     moved_by,
     named,
+    of_size,
     on_joint,
     travel_of,
 )
@@ -279,7 +280,7 @@ def test_a_wave_of_teeth_that_give_way_under_their_load_leaves_nothing_beside_it
     wave = on_joint(space, "wave", period=travel_of(space) / 20, phase="sin").evaluate(space.context)
     weight = np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
     moved = wave * (weight / weight.mean())[:, None]
-    moved *= 10 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 10)
     found, _ = look(replace(space, data=space.data + moved), ["periodic_transmission"], NAME)
     assert [f.name for f in found] == [("periodic_transmission", NAME)]
     assert sum(column.args.get("pressed") == -1 for column in found[0].near) == 2

@@ -11,7 +11,7 @@ from ppshw.diagnosis.library.by_load import FALLS_AT
 from ppshw.diagnosis.wording import finding, parameters_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import best_of, look, moved_by, named
+from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
 
 
 def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
@@ -192,7 +192,7 @@ def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_t
     zeros = np.random.default_rng(5).normal(size=block.max() + 1)[block]
     by_one = Column("frames", "sensor_error", {"component": 4}).evaluate(c)
     moved = zeros[:, None] * by_one
-    moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 3)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "drift", "creep", "thermal_growth"])
     assert [f.name for f in found] == [("wrench_error", None)]
@@ -209,7 +209,7 @@ def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_h
     air = c.recording.temperatures["air"]
     read = replace(c, recording=replace(c.recording, wrench=c.recording.wrench * (air - air.mean())[:, None]))
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(read)
-    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 2)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "tracker_scale", "drift", "creep"])
     assert [f.name for f in found] == [("wrench_error", None)]
@@ -225,7 +225,7 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     sided[:, 4] = np.where(sided[:, 4] > 0, 1.0, 0.3) * sided[:, 4]
     off = replace(c, recording=replace(c.recording, wrench=sided))
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(off)
-    moved *= 3 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 3)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "creep", "drift"])
     assert [f.name for f in found] == [("wrench_error", None)]

@@ -18,7 +18,7 @@ from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, on_joint, travel_of
+from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size, on_joint, travel_of
 
 
 def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
@@ -44,7 +44,7 @@ def test_a_gap_that_a_load_takes_up_is_play_and_says_by_how_much(space: Workspac
     k, own = space.machine.joint_names.index(NAME), own_component(space.context, space.machine.joint_names.index(NAME))
     held = np.abs(space.context.wrenches[:, k + 1, own])
     moved = on_joint(space, "approach").evaluate(space.context) / (1.0 + 2.0 * held / held.mean())[:, None]
-    moved *= 4 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 4)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
@@ -90,7 +90,7 @@ def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) ->
     width, weight = 0.15 * travel_of(space), np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
     lag = on_joint(space, "slipping", width=width)
     moved = lag.evaluate(space.context) * (weight / weight.mean())[:, None]  # Coulomb's, by hand
-    moved *= 4 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 4)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]

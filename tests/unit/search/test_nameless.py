@@ -13,7 +13,7 @@ from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import finding, stand_ins
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named
+from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size
 
 
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
@@ -76,7 +76,7 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     read = c.recording.wrench[:, ["Fx", "Fy", "Fz", "Mx", "My", "Mz"].index(load)]
     ways = np.random.default_rng(3).normal(size=(c.points.shape[1], 3))
     moved = np.einsum("nij,tj,n->nti", c.tips[:, :3, :3], ways, read).reshape(len(read), -1)
-    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 2)
     found, tried = look(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
     assert [f.name[0] for f in found] == ["nameless"]
     assert best_of(tried, found[0]).covariates == (load,)
@@ -87,7 +87,7 @@ def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_
     around = np.arctan2(rays[..., 0], rays[..., 2])  # of the positioner's base the second axis is plumb
     level = np.stack([rays[..., 2], 0 * around, -rays[..., 0]], axis=-1)
     moved = (np.sin(31.5 * around + 0.4)[..., None] * level).reshape(len(rays), -1)
-    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 2)
     some = named(space, "nameless", "drift", "tracker_scale")
     there = replace(space, data=space.data + moved)
     tried = Tried(there, some, 5e-5)
@@ -104,7 +104,7 @@ def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace)
     for v in range(len(q)):
         seats[v] = seats[v - 1] if v and abs(q[v] - q[v - 1]) < 1e-6 else rng.choice([-1.0, 1.0])
     moved = space.context.jacobian[:, :, k + 1, 4] * seats[:, None]
-    moved *= 2 * 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 2)
     some = [j for j in named(space, "nameless") if any(name.startswith("stay_") for name in j.covariates)]
     assert {name for j in some for name in j.covariates} >= {"stay_pitch", "stay_roll", "stay_lateral"}
     tried = Tried(replace(space, data=space.data + moved), some, 5e-5)
@@ -117,7 +117,7 @@ def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(
     minutes = 60 * float(space.context.hours[-1]) / len(space.context.hours) * 12.3
     on = np.sign(np.sin(2 * np.pi * 60 * space.context.hours / minutes + 0.4))
     moved = (space.context.jacobian[:, :, 0, :3] @ np.array([0.5, 1.0, -0.3])) * on[:, None]
-    moved *= 5e-5 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    moved = of_size(space, moved, 1)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["drift", "creep"], "time")
     assert [f.name[0] for f in found] == ["nameless"]
