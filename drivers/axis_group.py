@@ -201,7 +201,7 @@ class Cia402Group:
         axes = self._axes.values()
         silent = self._bus.exchange([axis.node_id for axis in axes])
         self._raise_trouble()
-        if len(silent) > 1:
+        if silent:
             silent = self._still_silent(silent)
             self._raise_trouble()
         self._raise_silence({a.name: a.silent_after_sync() for a in axes if a.node_id in silent})
@@ -216,11 +216,13 @@ class Cia402Group:
                 raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
 
     def _still_silent(self, silent: set[int]) -> set[int]:
-        """Of several nodes that did not answer, those that do not answer now either, or one of them if all were only
-        late: none that was late shall be named in the place of one that is gone. Nothing is forgiven for it: all is
-        stopped first."""
+        """Everyone is asked once more: all nodes if none answers now (the bus fell silent in between two answers), else
+        those that did not answer both times, or one of them if all were only late: none that was late shall be named in
+        the place of one that is gone. Nothing is forgiven for it: all is stopped first."""
         self._stop_at_once()
-        return self._bus.exchange(silent) or {min(silent)}
+        everyone = {axis.node_id for axis in self._axes.values()}
+        again = self._bus.exchange(everyone)
+        return again if again == everyone else again & silent or {min(silent)}
 
     # moving
 

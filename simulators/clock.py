@@ -15,12 +15,14 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
 START = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
+SLICES = 10
 
 
 class SteppedClock:
     """`sleep` moves the time on; `every` and `at` run callbacks as it passes.
 
-    grace   real seconds that a wait for a message is given before machine time moves on
+    grace   real seconds that a wait for a message is given before machine time moves on, in slices, so that a machine
+            that stood still for a while still lets the one who answers run
     """
 
     def __init__(self, start: datetime = START, grace: float = 0.25) -> None:
@@ -55,7 +57,7 @@ class SteppedClock:
     ) -> bool:
         """Real time first (a message may be on its way), then machine time step by step until the timeout."""
         deadline = self._now + max(0.0, timeout)
-        if condition.wait_for(predicate, self._grace):
+        if self._wait_in_slices(condition, predicate):
             return True
         while self._now < deadline:
             condition.release()
@@ -63,9 +65,12 @@ class SteppedClock:
                 self._advance_to(min(deadline, self._next_due(deadline)))
             finally:
                 condition.acquire()
-            if condition.wait_for(predicate, self._grace / 10):
+            if condition.wait_for(predicate, self._grace / SLICES):
                 return True
-        return condition.wait_for(predicate, self._grace)
+        return self._wait_in_slices(condition, predicate)
+
+    def _wait_in_slices(self, condition: threading.Condition, predicate: Callable[[], bool]) -> bool:
+        return any(condition.wait_for(predicate, self._grace / SLICES) for _ in range(SLICES))
 
     def _next_due(self, default: float) -> float:
         with self._lock:

@@ -36,7 +36,7 @@ class Rig:
     ) -> None:
         self.folder = folder
         self.out = folder / "small.db"
-        self.clock = SteppedClock(grace=0.25)
+        self.clock = SteppedClock(grace=0.5)
         self.hardware = SimulatedHardware(machine_file, self.clock, folder, seed=3, force_protocol=force_protocol)
         self.site: Site = load_site(self.hardware.write_site(folder / "site.yaml"))
         (folder / "small.yaml").write_text(script, encoding="utf-8")

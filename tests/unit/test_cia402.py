@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
-from drivers.canopen_bus import BusConfig, Entry
+from drivers.canopen_bus import BusConfig, CanBus, Entry
 from drivers.cia402_objects import State, decode_state
 from drivers.emcy import meaning
 from ppshw.errors import (
@@ -293,6 +293,20 @@ def test_a_silent_bus_is_told_from_a_silent_node(machine: Machine) -> None:
         machine.after(2.0, drive.go_silent)
     with pytest.raises(BusLost, match=r"CAN virtual .*: silent: nothing from slide, lift, slew"):
         machine.group.move({"slide": 1.0})
+
+
+def test_a_bus_that_falls_silent_between_two_answers_is_no_node(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    syncs = itertools.count()
+    send = CanBus.sync
+
+    def sync(bus: CanBus) -> None:
+        for drive in machine.drives if next(syncs) else [machine.drive("slew")]:
+            drive.go_silent()
+        send(bus)
+
+    monkeypatch.setattr(CanBus, "sync", sync)
+    with pytest.raises(BusLost, match=r"CAN virtual .*: silent: nothing from slide, lift, slew"):
+        machine.group.move({"slide": 0.3})
 
 
 def test_a_long_wait_between_moves_raises_no_false_alarm(machine: Machine) -> None:
