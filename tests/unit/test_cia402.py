@@ -295,7 +295,9 @@ def test_a_silent_bus_is_told_from_a_silent_node(machine: Machine) -> None:
         machine.group.move({"slide": 1.0})
 
 
-def test_a_bus_that_falls_silent_between_two_answers_is_no_node(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_falls_silent_between_two_answers_is_no_node(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     syncs = itertools.count()
     send = CanBus.sync
 
