@@ -185,7 +185,7 @@ class SimulatedHardware:
         return self.site_on(
             {"interface": "virtual", "channel": self.channel},
             {"tracker": "loopback:tracker", "force_sensor": "loopback:force_sensor"},
-            # machine time costs nothing, heartbeats do: few of them; SDO answers cost real time, of threads in a process
+            # machine time costs nothing, heartbeats do: few of them; SDO answers cost real time, of threads in one
             {"heartbeat_period": 2.0, "heartbeat_timeout": 6.0, "sdo_timeout": 1.0},
         )
 
