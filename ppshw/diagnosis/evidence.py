@@ -31,7 +31,8 @@ FIRST, FURTHER = 0.05, 0.02
 # reached e, none of them e²; seeds 60500 to 60539), e³ = 20 to 1 beside another finding.
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
 AMPLITUDES = (1 / 3, 1.0, 3.0)
-DRAWS = 199
+DRAWS, FEW = 199, 39
+PLAIN = 1e-5  # a p that needs no more than a few draws
 TOP = 3  # of these, by which their tail is laid
 LEAST_SHARE = 3e-4
 # Nameless rivals bend as they need; a name has the bare form of the library. One that explains nearly as much is the
@@ -129,20 +130,23 @@ class Tried:
         self._state = None if unknown else frozenset(zip(taken, space.taken_prior.tolist(), strict=True))
         self._taken = tuple(taken)
         self._beside: list[Array] | None = None
-        self._crossing: Array | None = None
+        self._crossing: Single | None = None
 
     @property
-    def _cross(self) -> Array:
-        """(K, f) what the columns have to do with those that are taken up; worked out when it is asked for."""
+    def _cross(self) -> Single:
+        """(f, K) what those that are taken up have to do with the columns; worked out when it is asked for."""
         if self._crossing is None:
-            self._crossing = self._crossed_with(self._taken) if self._taken else self.laid.product(self._absorbed)
+            if self._taken:
+                self._crossing = self._crossed_with(self._taken)
+            else:
+                self._crossing = self.laid.product(self._absorbed).T.astype(np.float32)
         return self._crossing
 
-    def _crossed_with(self, taken: Sequence[Key]) -> Array:
+    def _crossed_with(self, taken: Sequence[Key]) -> Single:
         new = [k for k, key in enumerate(taken) if key not in self._crossed]
         for k, product in zip(new, self.laid.product(self._absorbed[:, new]).T, strict=True):
             self._crossed[taken[k]] = product.astype(np.float32)
-        return np.stack([self._crossed[key] for key in taken], axis=1).astype(float)
+        return np.stack([self._crossed[key] for key in taken])
 
     @property
     def _info(self) -> list[Array]:
@@ -154,8 +158,9 @@ class Tried:
     def _informed(self) -> list[Array]:
         units = np.sqrt(np.diag(self._middle))  # kilograms stand beside radians
         lengths, turn = np.linalg.eigh(self._middle / units[:, None] / units)
-        along = (self._cross * units) @ (turn * np.sqrt(np.maximum(lengths, 0.0)))  # (K, f)
-        squares = np.einsum("kf,kf->k", along, along)
+        axes = units[:, None] * turn * np.sqrt(np.maximum(lengths, 0.0))
+        along = self._cross.T @ axes.astype(np.float32)  # (K, f)
+        squares = np.einsum("kf,kf->k", along, along, dtype=float)
         out = [np.empty_like(info) for info in self._info0]
         parts = [
             (k, slice(at, at + CHUNK))
@@ -253,7 +258,8 @@ class Tried:
 
     def scores(self) -> Array:
         """Zᵀ V⁻¹ y of every column, what was taken up included in V: (K,)."""
-        return self._plain_scores - self._cross @ (self._middle @ (self._absorbed.T @ self.space.y))
+        taken_up = self._middle @ (self._absorbed.T @ self.space.y)
+        return np.asarray(self._plain_scores - np.einsum("f,fk->k", taken_up, self._cross))  # in double, without a copy
 
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
@@ -293,8 +299,9 @@ class Tried:
         """The best candidate of the name at this index, for the evidence (C,) of all."""
         return int(np.argmax(np.where(self.name_of == name, evidence + self.log_share, -np.inf)))
 
-    def null(self, residual: Array, rng: np.random.Generator, draws: int = DRAWS) -> Array:
-        """The greatest log evidence of any name under random signs of whole visits: (draws,).
+    def null(self, residual: Array, rng: np.random.Generator, observed: float = -np.inf, draws: int = DRAWS) -> Array:
+        """The greatest log evidence of any name under random signs of whole visits: (draws,), or the first of them
+        where these tell already that nothing like what was observed comes from nothing.
 
         residual  (F, 3T) whitened and corrected for leverage; a visit that no noise makes counts as if it were just not
                   simply wrong: it was believed because something explains it
@@ -304,9 +311,16 @@ class Tried:
         size = (residual**2).sum(axis=1) / freedom
         residual = residual * np.sqrt(np.minimum(1.0, MOST_OF_NOISE / np.maximum(size, 1e-30)))[:, None]
         signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
-        turned = (signs[:, :, None] * residual).reshape(draws, -1).T
-        scores = self.laid.product(space.absorb(turned))
-        scores -= self._cross @ (self._middle @ (self._absorbed.T @ turned))
+        few = self._greatest(signs[:FEW, :, None] * residual)
+        if p_value(observed, few) < PLAIN:
+            return few
+        return np.concatenate([few, self._greatest(signs[FEW:, :, None] * residual)])
+
+    def _greatest(self, turned: Array) -> Array:
+        """(D,) log evidence of the best name of each of D recordings (D, F, 3T), whitened."""
+        turned = turned.reshape(len(turned), -1).T
+        scores = self.laid.product(self.space.absorb(turned))
+        scores -= self._cross.T @ (self._middle @ (self._absorbed.T @ turned)).astype(np.float32)
         return np.asarray(self.by_name(self.evidence(scores.T)).max(axis=1))
 
 

@@ -125,7 +125,7 @@ def _greedy(
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
-        p = math.nan if rng is None else p_value(evidence, tried.null(corrected_residual(space), rng))
+        p = math.nan if rng is None else p_value(evidence, tried.null(corrected_residual(space), rng, evidence))
         if p > (FURTHER if found else FIRST):
             break
         caster = caster_of(tried, best, evidence, found)
