@@ -275,7 +275,8 @@ def _region(space: Workspace, covariate: str) -> list[float] | None:
 def sentence(candidate: Candidate, values: Array, rms: float) -> str:
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
     rotary = (candidate.component or "t").startswith("r")
-    amount = f"{2 * abs(values[0]) * 1e3:.3f} {'mrad' if rotary else 'mm'}"
+    unit = "mrad" if rotary else "mm"
+    amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_pressed(candidate, values, unit)}"
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
@@ -296,7 +297,7 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "") + f" ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
-        "zero_shift": f"{joint}'s zero {_jumps(candidate, values, 'mrad' if rotary else 'mm')} ({size}).",
+        "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
         f"({size}).",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
@@ -314,6 +315,12 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
     return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
+
+
+def _pressed(candidate: Candidate, values: Array, unit: str) -> str:
+    """What lost motion is under twice the mean load, where it goes with the load: taken up, or pressed into more."""
+    more = [v for v, column in zip(values, candidate.columns, strict=True) if "pressed" in column.args]
+    return f" ({2 * abs(values[0] + more[0]) * 1e3:.3f} {unit} at twice its mean load)" if more else ""
 
 
 def _rocks(candidate: Candidate) -> str:

@@ -76,3 +76,10 @@ def test_a_moment_too_small_to_bend_anything_is_no_weight_that_moves(context: Co
         moment = k.columns[0].value(context)
         assert moment.std() > 0.05, k
     assert ("roll", "ry") not in {(k.joint, k.component) for k in by_weight}
+
+
+def test_lost_motion_that_a_load_takes_up_is_said_with_what_is_left_of_it(context: Context) -> None:
+    taken_up = next(k for k in library(context) if k.effect == "backlash" and "pressed" in k.columns[-1].args)
+    unit = "mm" if str(taken_up.component).startswith("t") else "mrad"
+    said = sentence(taken_up, np.array([-5e-5, 4e-5]), 1e-4)
+    assert f"by 0.100 {unit} (0.020 {unit} at twice its mean load)" in said
