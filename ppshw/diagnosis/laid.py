@@ -7,8 +7,8 @@ lengths s² (R⁻½ in X and Z), and G = (1 + s²)⁻½ Aᵀ Z,
 
     Zᵀ V⁻¹ Z = Zᵀ Z − Gᵀ G                         V as in `workspace`; docs/diagnosis.md §2
 
-which is worked out in double precision, as the base model may take nearly all of a column. Functions themselves are
-kept in single precision.
+which is worked out in double precision, as the base model may take nearly all of a column. Functions themselves and G
+are kept in single precision.
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ class Laid:
             self._fields[first : first + len(part)] = (space.whiten(raw) / self.scale[part]).T
         self._weights = np.array([(white**2).sum(axis=1) for white in self._white]).reshape(-1, fit)
         self.plain = self._squares()[self._place]
-        self._taken = self._double(self.absorbing / np.sqrt(1.0 + self.lengths))
+        self._taken, absorbed = self._absorbed(self.absorbing / np.sqrt(1.0 + self.lengths))
+        self._seen = self.plain - absorbed[self._place]
 
     def product(self, x: Array) -> Array:
         """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
@@ -117,15 +118,15 @@ class Laid:
             for c in np.flatnonzero(~together):
                 rows = self.rows(part[c])
                 inner[c] = rows @ rows.T
-            taken = self.taken(part)
+            taken = self.taken(part).astype(float)
             out[at : at + step] = inner - taken @ np.swapaxes(taken, 1, 2)
         return out
 
     def seen(self) -> Array:
         """(K,) ZᵀV⁻¹Z of every column alone."""
-        return np.asarray(self.plain - np.einsum("kp,kp->k", self._taken, self._taken)[self._place])
+        return self._seen
 
-    def taken(self, which: Indices) -> Array:
+    def taken(self, which: Indices) -> Single:
         """(…, a) G of some of the columns."""
         return np.asarray(self._taken[self._place[which]])
 
@@ -151,22 +152,28 @@ class Laid:
         for white, span in zip(self._white, self._spans, strict=True):
             yield np.einsum("fr,frd->fd", white, visits), span
 
-    def _double(self, x: Array) -> Array:
-        """Zᵀ x as `product`, in double precision, in the order of the rows."""
-        out = np.empty((len(self.scale), x.shape[1]))
+    def _absorbed(self, x: Array) -> tuple[Single, Array]:
+        """Zᵀ x of every column, worked out in double precision, and the squared length of each: (K, a), (K,); in the
+        order of the rows."""
+        out, squares = np.empty((len(self.scale), x.shape[1]), dtype=np.float32), np.empty(len(self.scale))
+
+        def keep(part: slice, exact: Array) -> None:
+            squares[part] = np.einsum("ka,ka->k", exact, exact)
+            out[part] = exact
+
         parts = list(self._along(x))
 
         def of_part(k: int) -> None:
             along, span = parts[k]
             for at in range(span.start, span.stop, BLOCK):
                 part = slice(at, min(at + BLOCK, span.stop))
-                out[part] = self._values[part].astype(float) @ along
+                keep(part, self._values[part].astype(float) @ along)
 
         side_by_side(of_part, range(len(parts)))
         for at in range(0, len(self._fields), BLOCK):
-            part = slice(at + len(self._values), at + len(self._values) + BLOCK)
-            out[part] = self._fields[at : at + BLOCK].astype(float) @ x
-        return out
+            fields = self._fields[at : at + BLOCK].astype(float)
+            keep(slice(at + len(self._values), at + len(self._values) + len(fields)), fields @ x)
+        return out, squares
 
     def _squares(self) -> Array:
         """ZᵀZ of every column, in the order of the rows."""

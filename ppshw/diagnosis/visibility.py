@@ -143,7 +143,7 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
             part = slice(at, at + CHUNK)
             taken = laid.taken(batch.columns[part]).sum(axis=1)
             more[batch.which[part], 0] = (taken**2).sum(axis=1)
-            more[batch.which[part], 1] = ((taken.astype(np.float32) @ regained) ** 2).sum(axis=1)
+            more[batch.which[part], 1] = ((taken @ regained) ** 2).sum(axis=1)
     plain = np.maximum(seen + more[:, 0], 1e-30)
     shares = (seen + more[:, 1]) / plain
     # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a
