@@ -11,6 +11,7 @@ import numpy as np
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, own_component, temperature_places, within
 from ppshw.diagnosis.nameless.rival import (
+    KNOTS,
     bumps,
     came_from,
     columns_of,
@@ -19,6 +20,7 @@ from ppshw.diagnosis.nameless.rival import (
     nobody_knows,
     rival,
     smooth_pair,
+    stands_still,
     without_a_place,
 )
 from ppshw.machine import WRENCH_COMPONENTS
@@ -65,6 +67,8 @@ def base_in_all_directions(c: Context) -> Iterator[Candidate]:
         share = FROM_WITHIN if name.endswith(within(c.machine)) else 1.0
         ways = [(range(3), bent)]
         ways += [(range(6), bent), (range(6), [whole])] if name in strange else []
+        if name in strange and stands_still(c, name):
+            ways.append((range(6), [{**whole, "count": KNOTS, "knot": j, "evenly": True} for j in range(KNOTS)]))
         for directions, forms in ways:
             moves = [Column("frame", "covariate", args, 0, comp) for args in forms for comp in directions]
             yield replace(rival(c, 0, None, (name,), moves), share=share)

@@ -18,6 +18,7 @@ from ppshw.terms.shapes import Column, Context, named_column
 Array = NDArray[np.float64]
 LATE_H = (0.5, 1.0, 2.0)  # lags of columns that nothing is known about
 ABOUT_ZERO = 9  # bumps over what is finest about zero
+STANDS_STILL = 0.1  # part of a column's range within which half of the visits lie
 KNOTS = 5  # bumps over the ranks of a column
 
 
@@ -55,6 +56,13 @@ def nobody_knows(c: Context) -> list[str]:
     """Covariates that no name is about."""
     r = c.recording
     return [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
+
+
+def stands_still(c: Context, name: str) -> bool:
+    """Whether a column is nearly the same most of the time, as of what is parked: its ranks hardly see the rest."""
+    values = named_column(c, name)
+    low, high = np.quantile(values, (0.25, 0.75))
+    return bool(high - low < STANDS_STILL * np.ptp(values))
 
 
 def late_columns(c: Context) -> list[str]:

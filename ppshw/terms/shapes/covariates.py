@@ -90,13 +90,13 @@ def columns_at(c: Context, names: tuple[str, ...]) -> Array:
     return out
 
 
-def covariate(c: Context, name: str, knot: int = 0, count: int = 1) -> Array:
+def covariate(c: Context, name: str, knot: int = 0, count: int = 1, evenly: bool = False) -> Array:
     """A smooth function of any column: the knot-th of `count` Gaussian bumps over its ranks in the recording that it
-    was made from, nothing beyond what was seen there (but of time); count 1: the column."""
+    was made from, or evenly over its values, nothing beyond what was seen there (but of time); count 1: the column."""
     if count == 1:
         return c.once(("standard", name), lambda: _standard(c, name)[1])
-    seen, rank = c.once(("ranks", name), lambda: _ranks(c, name))
-    return np.asarray(seen * bump(rank, knot, count))
+    seen, at = c.once(("evenly" if evenly else "ranks", name), lambda: _ranks(c, name, 2 if evenly else QUANTILES))
+    return np.asarray(seen * bump(at, knot, count))
 
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
@@ -117,15 +117,17 @@ def _standard(c: Context, name: str) -> tuple[Array, Array]:
     return values, values / spread if spread else np.zeros(len(values))
 
 
-def _ranks(c: Context, name: str) -> Array:
-    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there; nothing of one that does not vary.
-    What went on with time is held where it was when nobody looked any more."""
+def _ranks(c: Context, name: str, count: int) -> Array:
+    """(2, N) whether a column is within what was seen, and its rank 0 … 1 there, straight between `count` quantiles: of
+    two its place between least and greatest. Nothing of one that does not vary. What went on with time is held where it
+    was when nobody looked any more."""
     values, _ = _standard(c, name)
     if not c.frozen(f"spread of {name}", 0.0):
         return np.zeros((2, len(values)))
-    places = np.linspace(0.0, 1.0, QUANTILES)
+    places = np.linspace(0.0, 1.0, count)
     quantiles = [
-        c.frozen(f"quantile {k} of {name}", q) for k, q in enumerate(np.quantile(values, places).tolist())
+        c.frozen(f"quantile {p * (QUANTILES - 1):.0f} of {name}", q)
+        for p, q in zip(places, np.quantile(values, places).tolist(), strict=True)
     ]
     seen = (values >= quantiles[0]) & (values <= quantiles[-1]) | (name == "time")
     return np.stack([seen, np.interp(values, quantiles, places)])

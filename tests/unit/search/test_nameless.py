@@ -178,6 +178,22 @@ def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_cran
     assert {column.component for column in best.columns} == set(range(6))
 
 
+def test_what_a_crane_does_that_is_parked_most_of_the_time_is_unexplained_over_its_place(space: Workspace) -> None:
+    """It passes twice, and its ranks hardly see where: jumps of a zero there and back otherwise."""
+    count = len(space.recording)
+    place = np.random.default_rng(3).normal(-10.0, 0.01, count)
+    for start, length in ((count // 5, count // 12), (3 * count // 5, count // 12)):
+        place[start : start + length] += np.linspace(0.0, 20.0, length)
+    seen = replace(space.recording, covariates={**space.recording.covariates, "crane_m": place})
+    context = replace(space.context, recording=seen, reference=dict(space.context.reference))
+    near = 1.0 / (1.0 + (place / 4.0 - 0.5) ** 2)
+    moved = near[:, None] * np.tensordot(context.jacobian[:, :, 0], np.array([2, -4, 3, 15, 20, -10]) * 1e-5, 1)
+    there = replace(space, recording=seen, context=context, data=space.data + of_size(space, moved, 2.0))
+    found, tried = look(there, ["zero_shift", "drift", "creep"], "cov_crane_m")
+    assert [f.name for f in found] == [("nameless", None)]
+    assert (best_of(tried, found[0]).frame, best_of(tried, found[0]).covariates) == ("base", ("cov_crane_m",))
+
+
 def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space: Workspace) -> None:
     late = Column("points", "scale", {"place": "air", "tau": 1.0})
     there = replace(space, data=space.data + 3e-5 * late.evaluate(space.context))
