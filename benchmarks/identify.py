@@ -67,7 +67,7 @@ def recording(machine: Machine, path: Path) -> Recording:
     unknown = np.full(len(q), np.nan)
     return Recording(
         machine.joint_names, tuple(machine.targets), unknown, ("",) * len(q), ("",) * len(q), q, q,
-        np.zeros(q.shape, dtype=np.int64), unknown, wrench, points, {}, {}, {}, False, True, str(path), "",
+        np.zeros(q.shape, dtype=np.int64), unknown, wrench, points, {}, {}, {}, True, str(path), "",
     )  # fmt: skip
 
 

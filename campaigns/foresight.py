@@ -215,7 +215,7 @@ def pretended(
     payload = wrench(machine, q, np.array([c.mass for c in cases]), np.array([c.com for c in cases]))
     return Recording(
         machine.joint_names, tuple(machine.targets), hours * 3600.0, tuple(step), tuple(c.name for c in cases), q, q,
-        approach, np.full(len(q), settle_s), payload, points, {}, {"air": air(hours)}, {}, True, True, "plan", "",
+        approach, np.full(len(q), settle_s), payload, points, {}, {"air": air(hours)}, {}, True, "plan", "",
     )  # fmt: skip
 
 

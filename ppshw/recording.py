@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 # A setpoint may stand this far outside its limit before it counts: the text of a file has few decimals.
 LIMIT_ROUNDING = 1e-6
 # No instrument says more than this in any of its units; beyond, it is a damaged cell whose square would overflow.
+STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
 LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 
@@ -67,7 +68,7 @@ class Recording:
     time         (N,)      seconds since 1970 UTC, nan where unknown
     step, load   (N,)      labels
     q, q_cmd     (N, n)    encoder positions and commanded setpoints            [m, rad]
-    approach     (N, n)    −1, 0, 1: direction of each joint's last motion
+    approach     (N, n)    −1, 0, 1: direction of each joint's last motion; without columns by the order of the visits
     settle_s     (N,)      time between end of motion and measurement, nan where unknown
     wrench       (N, 6)    payload on the sensor, sensor frame; 0 without columns   [N, N·m]
     points       (N, T, 3) measured targets in the measuring frame, nan where lost  [m]
@@ -90,7 +91,6 @@ class Recording:
     extra_points: dict[str, Array]
     temperatures: dict[str, Array]
     covariates: dict[str, Array]
-    has_approach: bool
     has_wrench: bool
     source: str
     sha256: str
@@ -201,8 +201,10 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     wrench = np.zeros((len(table.rows), 6))
     if has_wrench:
         wrench = np.column_stack([cells.numbers(c, largest=LARGEST_WRENCH) for c in WRENCH_COMPONENTS])
-    has_approach = any(f"approach_{j}" in cells for j in joints)
-    approach = np.column_stack([cells.approach(f"approach_{j}") for j in joints])
+    approach = directions(q_cmd)
+    for k, j in enumerate(joints):
+        if f"approach_{j}" in cells:
+            approach[:, k] = cells.approach(f"approach_{j}")
     unknown = np.full(len(table.rows), math.nan)
     return Recording(
         joint_names=joints,
@@ -220,11 +222,18 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         temperatures={n[5:-2]: cells.numbers(n, fallback=unknown) for n in cells.names
                       if n.startswith("temp_") and n.endswith("_C")},
         covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
-        has_approach=has_approach,
         has_wrench=has_wrench,
         source=table.source,
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
     )  # fmt: skip
+
+
+def directions(q: Array) -> NDArray[np.int64]:
+    """(N, n) of each joint's last motion, −1, 0, 1, where moves go straight from visit to visit; 0 until it moves."""
+    steps = np.diff(q, axis=0, prepend=q[:1])
+    signs = np.where(np.abs(steps) > STANDSTILL * np.ptp(q, axis=0), np.sign(steps), 0.0)
+    moved = np.where(signs != 0, np.arange(len(q))[:, None], 0)
+    return np.take_along_axis(signs, np.maximum.accumulate(moved, axis=0), axis=0).astype(np.int64)
 
 
 def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
@@ -300,8 +309,6 @@ class _Cells:
         return out
 
     def approach(self, name: str) -> NDArray[np.int64]:
-        if name not in self:
-            return np.zeros(len(self._table.rows), dtype=np.int64)
         values = self.numbers(name, fallback=np.zeros(len(self._table.rows)))
         for row in np.flatnonzero(~np.isin(values, (-1.0, 0.0, 1.0)))[:1]:
             self.fail(int(row), name, f"{values[row]:g}, expected -1, 0 or 1")

@@ -94,7 +94,7 @@ def poses_only(machine: Machine, q: Array) -> Recording:
     return Recording(
         machine.joint_names, tuple(machine.targets), np.full(n, np.nan), ("",) * n, ("",) * n, q, q,
         np.zeros(q.shape, dtype=np.int64), np.full(n, np.nan), np.zeros((n, 6)),
-        np.full((n, len(machine.targets), 3), np.nan), {}, {}, {}, False, False, "design", "",
+        np.full((n, len(machine.targets), 3), np.nan), {}, {}, {}, False, "design", "",
     )  # fmt: skip
 
 

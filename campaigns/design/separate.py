@@ -167,7 +167,6 @@ def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) 
         points=np.concatenate([recording.points, new.points]),
         extra_points={}, covariates={},
         temperatures={k: np.concatenate([t, t[-1] + air - air[0]]) for k, t in recording.temperatures.items()},
-        has_approach=True,
     )  # fmt: skip
 
 

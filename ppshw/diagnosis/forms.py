@@ -59,8 +59,6 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     past = {key: value for key, value in k.columns[0].args.items() if key == "past"}
     slips = [_on(k, "slipping", joint=joint, width=float(way), **past) for way in ways]
     slips += [_on(k, "winding", joint=joint, way=float(way), **past) for way in ways]
-    if not c.recording.has_approach:
-        return slips
     tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
     return [*slips, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]
 

@@ -125,12 +125,11 @@ def _covariates(c: Context) -> Iterator[Covariate]:
         yield Covariate((f"q_{joints[k]}",), "travel", _cosines(r.q[:, k]))
     for k in moving:
         yield Covariate((f"q_{joints[k]}",), "waves", np.zeros((len(r), 1)) + r.q[:, k : k + 1])
-    if r.has_approach:
-        for k in moving:
-            s = r.approach[:, k].astype(float)
-            if np.ptp(s) > 0:
-                along = np.stack([s, s * _cosines(r.q[:, k])[:, 0]], axis=1)
-                yield Covariate((f"approach_{joints[k]}",), "approach", along)
+    for k in moving:
+        s = r.approach[:, k].astype(float)
+        if np.ptp(s) > 0:
+            along = np.stack([s, s * _cosines(r.q[:, k])[:, 0]], axis=1)
+            yield Covariate((f"approach_{joints[k]}",), "approach", along)
     for a, b in itertools.combinations(moving, 2):
         one, two = _cosines(r.q[:, a])[:, :2], _cosines(r.q[:, b])[:, :2]
         product = (one[:, :, None] * two[:, None, :]).reshape(len(r), -1)

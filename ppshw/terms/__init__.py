@@ -24,13 +24,12 @@ COMPONENTS = ("tx", "ty", "tz", "rx", "ry", "rz")
 class Situation:
     """What the model may know of N visits before it says where the targets are.
 
-    q (N, n) [m, rad];  payload (N, 6) on the sensor [N, N·m];  approach (N, n);  time (N,) [s];  temperatures and
+    q (N, n) [m, rad];  payload (N, 6) on the sensor [N, N·m];  time (N,) [s];  temperatures and
     covariates name → (N,)
     """
 
     q: Array
     payload: Array
-    approach: NDArray[np.int64] | None = None
     time: Array | None = None
     temperatures: Mapping[str, Array] = field(default_factory=dict)
     covariates: Mapping[str, Array] = field(default_factory=dict)
@@ -40,7 +39,6 @@ class Situation:
         return cls(
             recording.q,
             recording.wrench,
-            recording.approach if recording.has_approach else None,
             recording.time,
             recording.temperatures,
             recording.covariates,

@@ -237,7 +237,7 @@ class KnownEffects:
             machine.joint_names, tuple(machine.targets), time, ("",) * count, tuple(m.load for m in moments),
             np.array([m.q for m in moments]), np.array([m.q for m in moments]),
             np.array([m.approach for m in moments]), np.full(count, math.nan), np.array([m.payload for m in moments]),
-            np.full((count, len(machine.targets), 3), math.nan), {}, temperatures, {}, True, True, "setpoints", "",
+            np.full((count, len(machine.targets), 3), math.nan), {}, temperatures, {}, True, "setpoints", "",
         )  # fmt: skip
 
     # --- the past ------------------------------------------------------------------------------------------

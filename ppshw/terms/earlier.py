@@ -113,7 +113,7 @@ def as_dict(earlier: Recording) -> dict[str, Any]:
     table = np.array(list(columns.values()), dtype="<f8")
     return {
         "count": len(earlier), "load": list(earlier.load), "columns": list(columns),
-        "has_approach": earlier.has_approach, "has_wrench": earlier.has_wrench,
+        "has_wrench": earlier.has_wrench,
         "encoding": "column after column, float64 little-endian, zlib, base64",
         "data": base64.b64encode(zlib.compress(table.tobytes())).decode(),
     }  # fmt: skip
@@ -140,5 +140,5 @@ def from_dict(data: dict[str, Any], machine: Machine, source: str, sha256: str) 
         np.full((count, len(machine.targets), 3), math.nan), {},
         {n[5:-2]: v for n, v in columns.items() if n.startswith("temp_")},
         {n[4:]: v for n, v in columns.items() if n.startswith("cov_")},
-        bool(data["has_approach"]), bool(data["has_wrench"]), source, sha256,
+        bool(data["has_wrench"]), source, sha256,
     )  # fmt: skip

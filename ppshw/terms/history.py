@@ -11,9 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.recording import STANDSTILL
+
 Array = NDArray[np.float64]
 FORGOTTEN_H = 8.0  # when creep with the logarithm of time is taken to have ended; a guess: a shift
-STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
 
 
 def hours_since(start: float, time: Array) -> Array:

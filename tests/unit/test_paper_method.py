@@ -52,7 +52,6 @@ def measure(
         extra_points={"treatment": points["treatment"]},
         temperatures={},
         covariates={},
-        has_approach=False,
         has_wrench=True,
         source="simulated.csv",
         sha256="",

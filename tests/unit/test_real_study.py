@@ -167,7 +167,7 @@ def hilti_like(machine: Machine, q: Array, points: Array | None = None) -> Recor
     return Recording(
         machine.joint_names, ("prism",), np.full(n, np.nan), ("h3.2_b0:stationing",) * n, ("",) * n, q, q,
         np.zeros(q.shape, dtype=np.int64), np.full(n, np.nan), np.zeros((n, 6)),
-        np.zeros((n, 1, 3)) if points is None else points, nothing, nothing, nothing, False, False, "made up", "",
+        np.zeros((n, 1, 3)) if points is None else points, nothing, nothing, nothing, False, "made up", "",
     )  # fmt: skip
 
 

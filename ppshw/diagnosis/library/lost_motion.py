@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component, presses
+from ppshw.recording import STANDSTILL
 from ppshw.terms import COMPONENTS
-from ppshw.terms.history import STANDSTILL
 from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def backlash(c: Context) -> Iterator[Candidate]:
 def friction(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
-        # where nobody knows from which side a joint came, lost motion of any kind is friction
+        # of a joint that comes from one side alone lost motion of any kind is friction
         parts = WINDS_UP if came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
         if came_from_both_sides(c, k):
             for width, column in _taken_up(c, k, SOFT_WALLS):

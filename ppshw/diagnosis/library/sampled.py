@@ -27,7 +27,7 @@ def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
 
 
 def came_from_both_sides(c: Context, k: int) -> bool:
-    return c.recording.has_approach and len(np.unique(c.recording.approach[:, k])) > 1
+    return {-1, 1} <= set(c.recording.approach[:, k].tolist())
 
 
 def loads_on(c: Context, frame: int) -> list[int]:

@@ -6,10 +6,15 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import loads_on, moving_joints, own_component, temperature_places, within
+from ppshw.diagnosis.library.sampled import (
+    came_from_both_sides,
+    loads_on,
+    moving_joints,
+    own_component,
+    temperature_places,
+    within,
+)
 from ppshw.diagnosis.nameless.rival import (
     KNOTS,
     bumps,
@@ -87,7 +92,7 @@ def with_another_position(c: Context) -> Iterator[Candidate]:
         ways = [(what, comp) for what in anywhere for comp in directions]
         if c.recording.has_wrench:
             ways += [(f"on_{name}_{WRENCH_COMPONENTS[b]}", b) for b in loads_on(c, frame)]
-        if len(np.unique(c.recording.approach[:, k])) > 1:
+        if came_from_both_sides(c, k):
             ways += [(f"approach_{name}", comp) for comp in directions]
         for what, comp in ways:
             args = {"first": what, "second": f"q_{other}", "a": 0, "b": 0, "count": 1}

@@ -9,7 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import loads_on, moving_joints, own_component, temperature_places
+from ppshw.diagnosis.library.sampled import (
+    came_from_both_sides,
+    loads_on,
+    moving_joints,
+    own_component,
+    temperature_places,
+)
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, KNOTS, LATE_H, ends, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -35,7 +41,7 @@ def reversals(c: Context) -> Iterator[Candidate]:
     """What remembers from which side a joint came: the side alone, with any function of the way since, and with the
     position."""
     for k, name in moving_joints(c):
-        if len(np.unique(c.recording.approach[:, k])) < 2:
+        if not came_from_both_sides(c, k):
             continue
         came, way = f"approach_{name}", f"way_{name}"
         for frame, comp in [(k + 1, own_component(c, k)), *ends(c)[6:]]:
@@ -62,7 +68,7 @@ def reversals(c: Context) -> Iterator[Candidate]:
             where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
             yield rival(c, k + 1, comp, (came,), (side,))
             yield rival(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
-    sides = [f"approach_{name}" for k, name in moving_joints(c) if len(np.unique(c.recording.approach[:, k])) > 1]
+    sides = [f"approach_{name}" for k, name in moving_joints(c) if came_from_both_sides(c, k)]
     for one, other in itertools.combinations(sides, 2):  # both together say how something seats
         product = {"first": one, "second": other, "a": 0, "b": 0, "count": 1}
         for frame, comp in itertools.product(range(1, c.machine.n + 1), range(6)):

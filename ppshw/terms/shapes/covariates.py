@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.terms.history import STANDSTILL, former, hours_since_change, lagged, way_since_reversal
+from ppshw.recording import STANDSTILL
+from ppshw.terms.history import former, hours_since_change, lagged, way_since_reversal
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.instrument import incidence, seen_at
 from ppshw.terms.shapes.wrenches import payloads_of
