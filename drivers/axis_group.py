@@ -73,7 +73,7 @@ class Cia402Group:
                 axis.enable()
             for axis in self._axes.values():
                 if axis.config.homing is not None and not axis.homed:
-                    home(axis, self._bus)
+                    self._home(axis)
             self._exchange()
         except BaseException:
             self.quick_stop()
@@ -83,10 +83,13 @@ class Cia402Group:
         """Home one axis again, homed or not."""
         self.raise_if_faulty()
         try:
-            home(self.axis(name), self._bus)
+            self._home(self.axis(name))
         except BaseException:
             self.quick_stop()
             raise
+
+    def _home(self, axis: Cia402Axis) -> None:
+        home(axis, self._bus, lambda: self._exchange(expect_enabled=False))
 
     def reset_faults(self) -> None:
         """Acknowledge the faults of all drives; enables none. start() goes on from there."""

@@ -2,12 +2,14 @@
 
 After a homing the drive goes on saying "attained" until the next one has begun. So a result counts only after the
 drive has said "in progress"; methods that take the present position for home may never say so, and are given two
-fresh process data instead.
+fresh process data instead. The other axes stand meanwhile, enabled, and are watched as in a move.
 
     statusword bits 13, 12, 10:  000 in progress   001 not started   011 done   1·· homing error
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from drivers.canopen_bus import CanBus
 from drivers.cia402 import Cia402Axis
@@ -29,8 +31,11 @@ from ppshw.errors import DriveFault, HardwareTimeout, SiteError
 START_TIMEOUT = 1.0  # s; a drive that has not begun by then is not going to (a guess, generous)
 
 
-def home(axis: Cia402Axis, bus: CanBus) -> None:
-    """Home an enabled axis; `axis.homed` says afterwards that its positions can be trusted."""
+def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
+    """Home an enabled axis; `axis.homed` says afterwards that its positions can be trusted.
+
+    exchange  brings fresh process data of every axis on the bus, or raises what is wrong with one of them
+    """
     homing = axis.config.homing
     if homing is None:
         raise SiteError(f"{axis.name}: no homing method is configured")
@@ -42,18 +47,20 @@ def home(axis: Cia402Axis, bus: CanBus) -> None:
     for entry, speed in ((HOMING_FAST, homing.fast), (HOMING_SLOW, homing.slow)):
         if speed is not None:
             axis.sdo.set(entry, max(1, round(speed * c.counts_per_unit * c.velocity_units)))
-    _command(axis, bus, HOMING, ENABLE)
-    _command(axis, bus, HOMING, ENABLE | NEW_SET_POINT)
-    _wait_until_attained(axis, bus, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)
-    _command(axis, bus, PROFILE_POSITION, ENABLE)
+    _command(axis, bus, exchange, HOMING, ENABLE)
+    _command(axis, bus, exchange, HOMING, ENABLE | NEW_SET_POINT)
+    _wait_until_attained(axis, bus, exchange, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)
+    _command(axis, bus, exchange, PROFILE_POSITION, ENABLE)
     axis.homed = True
 
 
-def _wait_until_attained(axis: Cia402Axis, bus: CanBus, timeout: float, in_place: bool) -> None:
+def _wait_until_attained(
+    axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None], timeout: float, in_place: bool
+) -> None:
     began = bus.clock.now()
     in_progress = in_place
     while True:
-        snapshot = _fresh(axis, bus)
+        snapshot = _fresh(axis, exchange)
         if snapshot.state is not State.OPERATION_ENABLED:
             raise axis.trouble() or DriveFault(axis.name, f"left homing: {snapshot.state}")
         if snapshot.off_course:
@@ -69,22 +76,19 @@ def _wait_until_attained(axis: Cia402Axis, bus: CanBus, timeout: float, in_place
         bus.clock.sleep(bus.config.sync_period)
 
 
-def _command(axis: Cia402Axis, bus: CanBus, mode: int, controlword: int) -> None:
+def _command(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None], mode: int, controlword: int) -> None:
     """Send, and wait until two fresh process data have come and the drive shows the mode."""
     hold = axis.snapshot.counts if axis.snapshot else 0
     axis.command(hold, controlword, mode)
     began = bus.clock.now()
-    _fresh(axis, bus)
-    while (snapshot := _fresh(axis, bus)).mode != mode:
+    _fresh(axis, exchange)
+    while (snapshot := _fresh(axis, exchange)).mode != mode:
         if bus.clock.now() - began > START_TIMEOUT:
             raise HardwareTimeout(axis.name, f"refuses mode {mode}, shows {snapshot.mode}")
         bus.clock.sleep(bus.config.sync_period)
 
 
-def _fresh(axis: Cia402Axis, bus: CanBus) -> Snapshot:
-    if bus.exchange([axis.node_id]):
-        raise axis.trouble() or axis.silent_after_sync()
-    if (trouble := axis.trouble()) is not None:
-        raise trouble
+def _fresh(axis: Cia402Axis, exchange: Callable[[], None]) -> Snapshot:
+    exchange()
     assert axis.snapshot is not None
     return axis.snapshot

@@ -561,6 +561,27 @@ def test_homing_that_does_not_begin_is_no_homing(build: Callable[..., Machine]) 
     assert not m.group.axis("slide").homed
 
 
+FAR_HOME = 100_000  # counts; at 0.2 m/s and 0.1 m/s² the way there takes 7 s
+
+
+def test_an_axis_that_trips_while_another_one_homes_is_named(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, LIFT, home_at=FAR_HOME)
+    m.after(2.0, lambda: m.drive("lift").trip(0x2310))
+    with pytest.raises(DriveFault, match="lift: drive fault 0x2310, continuous overcurrent on the motor side"):
+        m.group.start()
+    assert m.drive("slide").motor_position() < FAR_HOME / 2
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_an_axis_that_falls_silent_while_another_one_homes_stops_the_homing(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, LIFT, home_at=FAR_HOME)
+    m.after(1.0, m.drive("lift").unplug)
+    with pytest.raises(HeartbeatLost, match=r"lift: no process data within 0\.5 s of SYNC"):
+        m.group.start()
+    assert m.drive("slide").motor_position() < FAR_HOME / 2
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
 # words
 
 
