@@ -16,6 +16,11 @@ from typing import Protocol, TextIO
 from campaigns.script import LoadCase
 from ppshw.errors import Stopped
 
+try:
+    import termios
+except ImportError:  # Windows
+    termios = None  # type: ignore[assignment]
+
 
 class Command(enum.Enum):
     PAUSE = "p"
@@ -23,6 +28,9 @@ class Command(enum.Enum):
     SKIP = "s"
     REDO = "r"
     ABORT = "a"
+
+
+_LETTERS = {command.value for command in Command}
 
 
 @dataclass(frozen=True)
@@ -77,14 +85,21 @@ class ConsoleOperator:
         self._name = ""
 
     def change_load(self, load: LoadCase) -> Answer:
+        stopped = f"stopped by the operator at the change to load {load.name}"
+        if self._drop_what_was_typed():
+            raise Stopped(stopped)
         what = "everything off the couch" if load.mass == 0 else _describe(load)
         self.tell(f"\nLoad change: {what}.")
         while True:
             known = f" [{self._name}]" if self._name else ""
             prompt = f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: "
             words = self._ask(prompt).split()
-            if words == ["abort"]:
-                raise Stopped(f"stopped by the operator at the change to load {load.name}")
+            said = " ".join(words).lower()
+            if _is_abort(said):
+                raise Stopped(stopped)
+            if said in _LETTERS:
+                self.tell(f"'{said}' is no name; pausing, skipping and redoing are done between two visits.")
+                continue
             mass: float | None = load.mass
             if words and _is_number(words[-1]):
                 mass = float(words.pop())
@@ -93,9 +108,7 @@ class ConsoleOperator:
                 return Answer(self._name, mass)
 
     def command(self) -> Command | None:
-        if not self._lines.isatty() or not select.select([self._lines], [], [], 0)[0]:
-            return None
-        return self._parse(self._lines.readline())
+        return self._parse(self._lines.readline()) if self._something_typed() else None
 
     def wait_for_command(self, why: str) -> Command:
         self.tell(f"\n{why}")
@@ -107,6 +120,18 @@ class ConsoleOperator:
     def tell(self, text: str) -> None:
         print(text, file=self._out, flush=True)
 
+    def _something_typed(self) -> bool:
+        return self._lines.isatty() and bool(select.select([self._lines], [], [], 0)[0])
+
+    def _drop_what_was_typed(self) -> bool:
+        """Before a question: what was typed until then is no answer to it. True where it was an abort."""
+        while self._something_typed() and (line := self._lines.readline()):
+            if _is_abort(line):
+                return True
+        if termios is not None and self._lines.isatty():
+            termios.tcflush(self._lines.fileno(), termios.TCIFLUSH)  # half a line
+        return False
+
     def _ask(self, prompt: str) -> str:
         print(prompt, end="", file=self._out, flush=True)
         line = self._lines.readline()
@@ -116,12 +141,16 @@ class ConsoleOperator:
 
     def _parse(self, line: str) -> Command | None:
         letter = line.strip().lower()[:1]
-        return Command(letter) if letter in {c.value for c in Command} else None
+        return Command(letter) if letter in _LETTERS else None
 
 
 def _describe(load: LoadCase) -> str:
     x, y, z = load.com
     return f"put on '{load.name}': {load.mass:g} kg, centre at ({x:g}, {y:g}, {z:g}) m on the couch"
+
+
+def _is_abort(line: str) -> bool:
+    return line.strip().lower() in (Command.ABORT.value, "abort")
 
 
 def _is_number(word: str) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+import os
+import select
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +34,7 @@ steps:
   - {step: a, kind: random, count: 3, loads: [empty]}
   - {step: b, kind: random, count: 3, loads: [box]}
 """
+BOX = LoadCase("box", 150.0, (0.0, 0.1, 0.2))
 
 
 class FakeAxes:
@@ -387,11 +390,72 @@ def test_closing_goes_through_every_device_even_when_one_fails(situation: Situat
 def test_the_operator_answers_with_name_and_mass_at_the_console() -> None:
     out = io.StringIO()
     console = ConsoleOperator(io.StringIO("\nAnn 148.5\n\nabort\n"), out)
-    box = LoadCase("box", 150.0, (0.0, 0.1, 0.2))
-    assert console.change_load(box) == Answer("Ann", 148.5)  # the empty line had no name to fall back on
-    assert console.change_load(box) == Answer("Ann", 150.0)
+    assert console.change_load(BOX) == Answer("Ann", 148.5)  # the empty line had no name to fall back on
+    assert console.change_load(BOX) == Answer("Ann", 150.0)
     assert "put on 'box': 150 kg" in out.getvalue()
     with pytest.raises(Stopped, match="at the change to load box"):
-        console.change_load(box)
+        console.change_load(BOX)
     with pytest.raises(Stopped, match="nobody answers"):
-        console.change_load(box)
+        console.change_load(BOX)
+
+
+@pytest.mark.parametrize("letter", ["a", "A", "abort"])
+def test_an_abort_at_a_load_change_is_no_name(letter: str) -> None:
+    console = ConsoleOperator(io.StringIO(f"{letter}\n\n"), io.StringIO())
+    with pytest.raises(Stopped, match="at the change to load box"):
+        console.change_load(BOX)
+
+
+def test_the_other_commands_are_no_names_at_a_load_change() -> None:
+    out = io.StringIO()
+    console = ConsoleOperator(io.StringIO("s\ng\nr\np\nAnn\n"), out)
+    assert console.change_load(BOX) == Answer("Ann", 150.0)
+    assert out.getvalue().count("is no name") == 4
+
+
+class Terminal:
+    """A terminal with somebody at it, who answers as soon as the question is there."""
+
+    def __init__(self) -> None:
+        self.person, self.program = os.openpty()
+        self.lines = os.fdopen(self.program, encoding="utf-8")
+        self.answers: list[str] = []
+
+    def type(self, text: str) -> None:
+        os.write(self.person, text.encode())
+        assert select.select([self.lines], [], [], 5.0)[0]
+
+    def write(self, text: str) -> int:
+        if "Enter when done" in text:
+            self.type(self.answers.pop(0))
+        return len(text)
+
+    def flush(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.lines.close()
+        os.close(self.person)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    terminal = Terminal()
+    yield terminal
+    terminal.close()
+
+
+def test_what_was_typed_before_a_load_change_is_no_answer_to_it(terminal: Terminal) -> None:
+    console = ConsoleOperator(terminal.lines, terminal)  # type: ignore[arg-type]
+    terminal.answers = ["Ann\n", "Bob 148\n"]
+    assert console.change_load(BOX) == Answer("Ann", 150.0)
+    terminal.type("\n\nhalf a li")
+    assert console.change_load(BOX) == Answer("Bob", 148.0)
+
+
+def test_an_abort_typed_before_a_load_change_is_one(terminal: Terminal) -> None:
+    console = ConsoleOperator(terminal.lines, terminal)  # type: ignore[arg-type]
+    terminal.answers = ["Ann\n"]
+    terminal.type("a\n")
+    with pytest.raises(Stopped, match="at the change to load box"):
+        console.change_load(BOX)
