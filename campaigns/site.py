@@ -6,7 +6,7 @@ Reading a site file opens nothing. `open_bench` makes the drivers, and they conn
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from campaigns.bench import STANDARD_AIR, Bench, nominal_aim
 from campaigns.operator import AutomaticOperator, ConsoleOperator, Operator
+from campaigns.plan import Plan
 from campaigns.remote_operator import put_on_by_line
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
@@ -27,7 +28,7 @@ from drivers.gsv8 import Gsv8Sensor
 from drivers.ports import Atmosphere, Clock, ForceSensor, Thermometer, Tracker, WallClock
 from drivers.serial_port import Port
 from drivers.thermometer_file import FileThermometer
-from ppshw.errors import SiteError
+from ppshw.errors import CampaignError, SiteError, SoftLimit
 from ppshw.machine import Joint, Machine, load_machine
 from ppshw.strict_yaml import Section, read_yaml
 from ppshw.transforms import from_xyz_rpy
@@ -119,6 +120,30 @@ def open_bench(site: Site, clock: Clock | None = None, ports: Ports | None = Non
         atmosphere=partial(_air_now, site, thermometers),
         notes={"site": site.text, "site_name": site.name, "site_sha256": site.sha256},
     )
+
+
+def check_moves(plan: Plan, site: Site) -> None:
+    """Every move of a plan against the axes of this site. Raises CampaignError for one beyond a limit.
+
+    A plan knows the machine's limits; where a final approach begins is the site's.
+    """
+    for visit in plan.visits:
+        who = f"{visit.where}: step {visit.step}"
+        if visit.via is not None:
+            _check_move(visit.via, site, f"{who}, stepping aside before it")
+        _check_move(visit.setpoints, site, who)
+
+
+def _check_move(setpoints: Sequence[float], site: Site, who: str) -> None:
+    for axis, setpoint in zip(site.axes, setpoints, strict=True):
+        what = axis.name
+        try:
+            axis.require_within_limits(setpoint)
+            if (start := axis.approach_start(setpoint)) is not None:
+                what = f"the final approach to {axis.name} = {setpoint:g} begins beyond its limits"
+                axis.require_within_limits(start)
+        except SoftLimit as beyond:
+            raise CampaignError(f"{who}: {what}: {beyond.cause}") from None
 
 
 def _air_now(site: Site, thermometers: tuple[Thermometer, ...]) -> Atmosphere:

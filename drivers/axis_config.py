@@ -95,6 +95,10 @@ class AxisConfig:
         if position < self.lower - slack:
             raise SoftLimit(self.name, f"setpoint {position:.6g} {self.unit} is below the limit {self.lower:g}")
 
+    def approach_start(self, setpoint: float) -> float | None:
+        """Where the final approach to `setpoint` begins; None where it is taken as it comes."""
+        return None if self.approach_from is None else setpoint + self.approach_from * self.approach_distance
+
     def travel_time(self, distance: float) -> float:
         """Seconds for a trapezoid (or triangle) over `distance` from rest to rest."""
         slowest = min(self.acceleration, self.deceleration or self.acceleration)

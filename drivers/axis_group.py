@@ -253,9 +253,9 @@ class Cia402Group:
                 raise BadInput(f"no axis is called {name!r}; the axes are {', '.join(self.names)}")
             config = self._configs[name]
             config.require_within_limits(setpoint)
-            if config.approach_from is not None:
-                starts[name] = setpoint + config.approach_from * config.approach_distance
-                config.require_within_limits(starts[name])
+            if (start := config.approach_start(setpoint)) is not None:
+                config.require_within_limits(start)
+                starts[name] = start
 
         def legs() -> Iterable[dict[str, int]]:
             final = {name: self._configs[name].to_counts(q) for name, q in setpoints.items()}

@@ -15,11 +15,12 @@ def run(a: argparse.Namespace) -> None:
     from campaigns.plan import plan_campaign
     from campaigns.runner import run_campaign
     from campaigns.script import load_script
-    from campaigns.site import load_site, open_bench
+    from campaigns.site import check_moves, load_site, open_bench
     from ppshw.recording_file import only_writer
 
     site = load_site(a.site)
     found = plan_campaign(load_script(a.campaign), site.machine)
+    check_moves(found, site)
     correct, label = _setpoint_map(a, site)
     out = new_file(a.out, a.site, site.machine.file)
     with only_writer(out), open_bench(site) as bench, Bar() as bar:

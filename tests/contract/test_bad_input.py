@@ -338,6 +338,18 @@ def test_a_site_that_cannot_be_opened(desk: Path, case: str) -> None:
     assert line == refused(desk, "run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db")
 
 
+def test_a_visit_whose_final_approach_begins_beyond_a_limit_is_refused_before_anything_is_opened(desk: Path) -> None:
+    swap("velocity: 0.1", "approach_from: below, approach_distance: 0.05")(desk / "site.yaml")
+    swap("poses: [{q: {rail: 0.2, turn: 0.5}}]", "poses: [{q: {rail: -0.79}}]")(desk / "little.yaml")
+    words = ["run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db"]
+    line = refused(desk, *words)
+    assert f"{desk / 'little.yaml'}:8: step sweep: the final approach to rail = -0.8 begins beyond its limits: " in line
+    assert "setpoint -0.85 m is below the limit -0.8" in line
+    swap("count: 5, loads", "count: 5, margin: 0.1, loads")(desk / "little.yaml")
+    line = refused(desk, *words)
+    assert f"{desk / 'little.yaml'}:10: step poses: the final approach to rail = -0.79 begins beyond" in line
+
+
 def test_a_site_whose_machine_file_is_missing_names_that_file(desk: Path) -> None:
     swap("machine: machine.yaml", "machine: other.yaml")(desk / "site.yaml")
     assert f"{desk / 'other.yaml'}: no such file" in refused(desk, "check", "--site", desk / "site.yaml")
