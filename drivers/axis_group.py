@@ -104,11 +104,13 @@ class Cia402Group:
         return {name: self._position(axis) for name, axis in self._axes.items()}
 
     def close(self) -> None:
-        """Disable every drive (brakes close), leave the bus."""
-        if self._bus.is_open and self._started:
+        """Disable every drive (brakes close), end its watch over our heartbeat, leave the bus."""
+        if self._bus.is_open:
             for axis in self._axes.values():
                 try:
-                    axis.disable()
+                    if self._started:
+                        axis.disable()
+                    axis.end_watch()
                 except HardwareError as error:
                     log.warning("closing: %s", error)
         self._started = False

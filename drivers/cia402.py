@@ -83,6 +83,7 @@ class Cia402Axis:
         self._emergency: int | None = None
         self._restarted = False
         self._supervised = False
+        self._watches = False  # the drive watches a heartbeat
         self._last_heard = bus.clock.now()
         self._node = canopen.RemoteNode(config.node_id, pdo_dictionary(config.node_id))
         bus.network.add_node(self._node)
@@ -174,11 +175,20 @@ class Cia402Axis:
         host = self._bus.config.host_node_id
         if host is not None:
             watch_ms = round(self._bus.config.host_heartbeat_period * 5000)
-            self.sdo.set_if_present(CONSUMER_HEARTBEAT, host << 16 | watch_ms)
+            self._watches = self.sdo.set_if_present(CONSUMER_HEARTBEAT, host << 16 | watch_ms)
+        elif (CONSUMER_HEARTBEAT.index, CONSUMER_HEARTBEAT.subindex) not in self.config.parameters:
+            self._watches = bool(self.sdo.read_if_present(CONSUMER_HEARTBEAT))  # by another program's word
+            self.end_watch()
         self.snapshot = None
         self._node.nmt.state = "OPERATIONAL"
         self._last_heard = self._bus.clock.now()
         self._supervised = True
+
+    def end_watch(self) -> None:
+        """The drive no longer faults (0x8130) when this program's heartbeat ends."""
+        if self._watches:
+            self.sdo.set(CONSUMER_HEARTBEAT, 0)
+            self._watches = False
 
     def _configure_motion(self) -> None:
         c = self.config

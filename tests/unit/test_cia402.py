@@ -465,12 +465,17 @@ def test_a_drive_whose_controlword_is_mapped_first_goes_to_the_old_target(machin
     assert machine.drive("slide").value(0x6041) & 0x0400  # "reached"
 
 
-def test_the_drives_are_told_to_watch_the_hosts_heartbeat(build: Callable[..., Machine]) -> None:
-    m = build(SLIDE)
+def watched(m: Machine) -> Cia402Group:
+    """The group of a site with `host_node_id`."""
     bus = BusConfig(
         can={"interface": "virtual", "channel": m.rack.channel}, host_node_id=0x7E, host_heartbeat_period=0.05
     )
-    m.group = Cia402Group(m.axes, bus, m.clock)
+    return Cia402Group(m.axes, bus, m.clock)
+
+
+def test_the_drives_are_told_to_watch_the_hosts_heartbeat(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE)
+    m.group = watched(m)
     m.group.start()
     assert m.drive("slide").value(0x1016, 1) == 0x7E << 16 | 250  # node and time-out in ms, five periods
     with can.Bus(interface="virtual", channel=m.rack.channel, ignore_config=True) as listener:
@@ -478,6 +483,37 @@ def test_the_drives_are_told_to_watch_the_hosts_heartbeat(build: Callable[..., M
         while (heard := listener.recv(1.0)) is None or heard.arbitration_id != 0x77E:
             assert time.monotonic() < deadline, "the host's heartbeat is missing"
     assert bytes(heard.data) == b"\x05"  # OPERATIONAL
+
+
+def test_the_watch_over_the_hosts_heartbeat_ends_with_the_program(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, LIFT)
+    m.group = watched(m)
+    m.group.start()
+    m.drive("slide").go_silent()
+    m.group.close()
+    assert m.drive("slide").value(0x1016, 1) != 0  # it could not be told
+    assert m.drive("lift").value(0x1016, 1) == 0
+    assert m.drive("lift").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_start_that_fails_half_way_leaves_no_watch_behind(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, LIFT)
+    m.group = watched(m)
+    m.drive("lift").lie_about(0x6081, 1)
+    with pytest.raises(ConfigurationMismatch, match="lift: profile velocity"):
+        m.group.start()
+    assert m.drive("slide").value(0x1016, 1) != 0
+    m.group.close()
+    assert m.drive("slide").value(0x1016, 1) == 0
+
+
+def test_a_watch_that_another_program_left_in_a_drive_is_taken_back(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, replace(LIFT, parameters={(0x1016, 1): 0x50 << 16 | 900}))
+    for drive in m.drives:
+        drive.store(0x1016, 1, 0x7E << 16 | 250)
+    m.group.start()
+    assert m.drive("slide").value(0x1016, 1) == 0
+    assert m.drive("lift").value(0x1016, 1) == 0x50 << 16 | 900  # its site asks for it
 
 
 def test_a_drive_may_lack_every_object_that_some_real_drive_lacks(build: Callable[..., Machine]) -> None:
