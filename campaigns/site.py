@@ -212,7 +212,7 @@ def _axis(s: Section, joint: Joint, axes: Section) -> AxisConfig:
         window=s.number("window", default=5e-5, low=1e-12),
         window_s=s.number("window_s", default=0.05, low=0.0),
         following_window=s.number("following_window", default=None, low=1e-12),
-        following_s=s.number("following_s", default=0.1, low=0.0),
+        following_s=s.number("following_s", default=None, low=0.0),
         approach_from={"below": -1, "above": 1, "": None}[side],
         approach_distance=s.number("approach_distance", default=0.0, low=0.0),
         velocity_units=s.number("velocity_units", default=1.0, low=1e-12),

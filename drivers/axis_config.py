@@ -28,7 +28,7 @@ class AxisConfig:
     """One axis of a machine. Positions in m or rad, as `unit` says; counts = direction·counts_per_unit·(q − offset).
 
     window, window_s     at rest means within `window` of the target for `window_s`
-    following_window     the drive's following-error window; None leaves what is in the drive
+    following_window     the drive's following-error window; None leaves what is in the drive; following_s: for how long
     approach_from        side that the final approach comes from: −1 from below, +1 from above, None as it comes
     approach_distance    length of that final approach
     velocity_units       drive velocity units per count/s, where a maker deviates from the standard; acceleration alike
@@ -49,7 +49,7 @@ class AxisConfig:
     window: float = 5e-5
     window_s: float = 0.05
     following_window: float | None = None
-    following_s: float = 0.1
+    following_s: float | None = None
     approach_from: int | None = None
     approach_distance: float = 0.0
     velocity_units: float = 1.0

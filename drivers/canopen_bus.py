@@ -232,6 +232,11 @@ class SdoPort:
         self._compare(entry, value)
         return True
 
+    def set_asked(self, entry: Entry, value: int, key: str) -> None:
+        """What the site file gives under `key` is not left out where the drive has no such object."""
+        if not self.set_if_present(entry, value):
+            raise ConfigurationMismatch(self._device, f"has no {entry}, but the site file gives {key}")
+
     def upload(self, entry: Entry) -> bytes | None:
         """Raw bytes, or None when the drive has no such object."""
         try:

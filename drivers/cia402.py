@@ -67,6 +67,8 @@ from ppshw.errors import (
     Stopped,
 )
 
+FOLLOWING_S = 0.1  # s outside a following-error window until it is an error, where the site gives a window alone
+
 
 class Cia402Axis:
     """A drive on an open bus. `on_emergency` is called from the receiving thread and must neither block nor raise."""
@@ -175,7 +177,8 @@ class Cia402Axis:
         host = self._bus.config.host_node_id
         if host is not None:
             watch_ms = round(self._bus.config.host_heartbeat_period * 5000)
-            self._watches = self.sdo.set_if_present(CONSUMER_HEARTBEAT, host << 16 | watch_ms)
+            self.sdo.set_asked(CONSUMER_HEARTBEAT, host << 16 | watch_ms, "can.host_node_id")
+            self._watches = True
         elif (CONSUMER_HEARTBEAT.index, CONSUMER_HEARTBEAT.subindex) not in self.config.parameters:
             self._watches = bool(self.sdo.read_if_present(CONSUMER_HEARTBEAT))  # by another program's word
             self.end_watch()
@@ -191,19 +194,31 @@ class Cia402Axis:
             self._watches = False
 
     def _configure_motion(self) -> None:
+        """Only what is derived may be missing in the drive: a safety setting that was asked for is not left out."""
         c = self.config
         per_s, per_s2 = c.counts_per_unit * c.velocity_units, c.counts_per_unit * c.acceleration_units
         self.sdo.set(VELOCITY, max(1, round(c.velocity * per_s)))
         self.sdo.set(ACCELERATION, max(1, round(c.acceleration * per_s2)))
-        self.sdo.set_if_present(DECELERATION, max(1, round((c.deceleration or c.acceleration) * per_s2)))
+        if c.deceleration is not None:
+            self.sdo.set_asked(DECELERATION, max(1, round(c.deceleration * per_s2)), self._key("deceleration"))
+        else:
+            self.sdo.set_if_present(DECELERATION, max(1, round(c.acceleration * per_s2)))
         low, high = sorted((c.to_counts(c.lower), c.to_counts(c.upper)))
         self.sdo.set_if_present(LIMIT_LOW, low)
         self.sdo.set_if_present(LIMIT_HIGH, high)
         self.sdo.set_if_present(POSITION_WINDOW, max(1, round(c.window * c.counts_per_unit)))
         self.sdo.set_if_present(POSITION_TIME, round(c.window_s * 1000))
         if c.following_window is not None:
-            self.sdo.set_if_present(FOLLOWING_WINDOW, max(1, round(c.following_window * c.counts_per_unit)))
-            self.sdo.set_if_present(FOLLOWING_TIME, round(c.following_s * 1000))
+            window = max(1, round(c.following_window * c.counts_per_unit))
+            self.sdo.set_asked(FOLLOWING_WINDOW, window, self._key("following_window"))
+        if c.following_s is not None:
+            self.sdo.set_asked(FOLLOWING_TIME, round(c.following_s * 1000), self._key("following_s"))
+        elif c.following_window is not None:
+            self.sdo.set_if_present(FOLLOWING_TIME, round(FOLLOWING_S * 1000))
+
+    def _key(self, of: str) -> str:
+        """Where the site file says it."""
+        return f"axes.{self.name}.{of}"
 
     def _entry_of_reported_size(self, index: int, subindex: int) -> Entry:
         probe = Entry(index, subindex, "", "parameter")
@@ -345,7 +360,8 @@ class Cia402Axis:
         if self.target is not None:
             text += f", {abs(snapshot.counts - self.target) / c.counts_per_unit:.3g} {c.unit} to go"
         if c.following_window is not None:
-            text += f" (window {c.following_window:g} {c.unit} for {c.following_s:g} s)"
+            seconds = FOLLOWING_S if c.following_s is None else c.following_s
+            text += f" (window {c.following_window:g} {c.unit} for {seconds:g} s)"
         return FollowingError(self.name, text)
 
     def _drive_fault(self) -> DriveFault:

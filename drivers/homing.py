@@ -43,7 +43,11 @@ def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
     axis.target = None
     c = axis.config
     axis.sdo.set(HOMING_METHOD, homing.method)
-    axis.sdo.set_if_present(HOME_OFFSET, c.to_counts(homing.offset))
+    offset = c.to_counts(homing.offset)
+    if offset:
+        axis.sdo.set_asked(HOME_OFFSET, offset, f"axes.{axis.name}.homing.offset")
+    else:
+        axis.sdo.set_if_present(HOME_OFFSET, offset)
     for entry, speed in ((HOMING_FAST, homing.fast), (HOMING_SLOW, homing.slow)):
         if speed is not None:
             axis.sdo.set(entry, max(1, round(speed * c.counts_per_unit * c.velocity_units)))

@@ -526,6 +526,37 @@ def test_a_drive_may_lack_every_object_that_some_real_drive_lacks(build: Callabl
         m.group.axis("slide").enable()
 
 
+@pytest.mark.parametrize(
+    ("wanted", "missing", "message"),
+    [
+        ({}, 0x6065, r"has no following error window 0x6065:00, but the site file gives axes\.slide\.following_window"),
+        ({"following_s": 0.2}, 0x6066, r"0x6066:00, but the site file gives axes\.slide\.following_s"),
+        ({"deceleration": 0.05}, 0x6084, r"0x6084:00, but the site file gives axes\.slide\.deceleration"),
+        ({"homing": HomingConfig(17, offset=0.5)}, 0x607C, r"0x607C:00, but the site file gives axes\.slide\.homing"),
+    ],
+)
+def test_what_the_site_asks_for_and_the_drive_does_not_have_is_not_dropped(
+    build: Callable[..., Machine], wanted: dict[str, Any], missing: int, message: str
+) -> None:
+    m = build(replace(SLIDE, **wanted), missing=(missing,))
+    with pytest.raises(ConfigurationMismatch, match=rf"^slide: .*{message}"):
+        m.group.start()
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_drive_that_cannot_watch_the_host_is_refused_where_it_shall(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, missing=(0x1016,))
+    m.group = watched(m)
+    with pytest.raises(ConfigurationMismatch, match=r"slide: has no .* 0x1016:01, but .* can\.host_node_id"):
+        m.group.start()
+
+
+def test_what_is_only_derived_may_be_missing(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLIDE, homing=HomingConfig(35)), missing=(0x6066, 0x6067, 0x6068, 0x607C, 0x607D, 0x6084))
+    m.group.start()
+    assert m.group.move({"slide": 0.1}).positions["slide"] == pytest.approx(0.1, abs=1e-5)
+
+
 def test_a_refused_mode_is_said(build: Callable[..., Machine]) -> None:
     m = build(SLIDE, modes=(6,))
     with pytest.raises(HardwareTimeout, match=r"slide: refuses mode 1 \(profile position\), shows 0"):
