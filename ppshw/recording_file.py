@@ -10,12 +10,13 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from ppshw.errors import RecordingError
+from ppshw.whole_file import written_whole
 
 FORMAT = "ppshw recording 1"
 _SCHEMA = """
@@ -71,24 +72,18 @@ class RecordingFile:
 
     @classmethod
     def create(cls, path: Path | str, columns: Sequence[str], meta: Mapping[str, str]) -> RecordingFile:
-        """A new, empty recording. Raises RecordingError when the file exists already."""
+        """A new, empty recording, there in one step. Raises RecordingError when the file exists already."""
         path = Path(path)
         if path.exists():
             raise RecordingError(f"{path}: exists already, expected a new file")
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: the folder {path.parent} does not exist")
         try:
-            db = sqlite3.connect(path, isolation_level=None)
-            with _transaction(db):
-                for statement in _SCHEMA.split(";"):
-                    db.execute(statement)
-                cells = ", ".join(f"{name} TEXT NOT NULL" for name in _sql_names(columns))
-                db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
-                everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
-                db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
+            with written_whole(path) as partial:
+                _create(partial, columns, meta)
         except sqlite3.Error as exc:  # no right to write there, no room, more columns than SQLite has
             raise RecordingError(f"{path}: cannot be made ({exc})") from None
-        return cls(path, db)
+        return cls.open(path)
 
     @classmethod
     def open(cls, path: Path | str, readonly: bool = False) -> RecordingFile:
@@ -199,6 +194,18 @@ class RecordingFile:
     def shots(self, visit: int) -> list[tuple[str, dict[str, Any]]]:
         rows = self._db.execute("SELECT target, data FROM shots WHERE visit = ? ORDER BY rowid", [visit])
         return [(t, json.loads(d)) for t, d in rows]
+
+
+def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str]) -> None:
+    """Closed when done: SQLite names its journal after the file, so that an open one must not be moved."""
+    path.unlink(missing_ok=True)  # of a process before, killed, that had our number
+    with closing(sqlite3.connect(path, isolation_level=None)) as db, _transaction(db):
+        for statement in _SCHEMA.split(";"):
+            db.execute(statement)
+        cells = ", ".join(f"{name} TEXT NOT NULL" for name in _sql_names(columns))
+        db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
+        everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
+        db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
 
 
 class _transaction:

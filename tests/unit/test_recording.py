@@ -136,3 +136,37 @@ def test_reading_does_not_disturb_who_writes(tmp_path: Path) -> None:
         for k in range(3):
             file.append({"q": str(k)}, k)
             assert len(read_table(tmp_path / "r.db").rows) == k + 1
+
+
+@pytest.mark.parametrize("statement", range(6))
+def test_a_kill_while_a_recording_is_made_leaves_none(tmp_path: Path, statement: int) -> None:
+    """The process dies at the n-th statement; the same command afterwards makes the recording."""
+    die = MADE.format(path=str(tmp_path / "r.db"), statement=statement)
+    assert subprocess.run([sys.executable, "-c", die], check=False).returncode == 9
+    assert not (tmp_path / "r.db").exists()
+    with RecordingFile.create(tmp_path / "r.db", ["q"], {}) as file:
+        file.append({"q": "1"}, 0)
+    assert read_table(tmp_path / "r.db").rows == (("1",),)
+
+
+MADE = """\
+import itertools, os, sqlite3
+from ppshw.recording_file import RecordingFile
+count = itertools.count()
+def traced(sql):
+    if next(count) == {statement}:
+        os._exit(9)
+connect = sqlite3.connect
+def connected(*given, **options):
+    db = connect(*given, **options)
+    db.set_trace_callback(traced)
+    return db
+sqlite3.connect = connected
+RecordingFile.create({path!r}, ["q"], {{}})
+"""
+
+
+def test_a_recording_that_cannot_be_made_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"r\.db: cannot be made"):
+        RecordingFile.create(tmp_path / "r.db", [f"c{k}" for k in range(5000)], {})
+    assert list(tmp_path.iterdir()) == []
