@@ -56,11 +56,11 @@ class Bench:
 
     def check(self) -> list[DeviceInfo]:
         """Who every device is and how it is; nothing moves."""
-        found = [*self.axes.check(), self.tracker.check()]
-        return found if self.force_sensor is None else [*found, self.force_sensor.check()]
+        instruments = [self.tracker, self.force_sensor, *self.thermometers]
+        return [*self.axes.check(), *(device.check() for device in instruments if device is not None)]
 
     def start(self, reset_faults: bool = False) -> list[DeviceInfo]:
-        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker.
+        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker or thermometer.
 
         reset_faults  acknowledge what the drives have reported; never done unasked
         """
@@ -68,6 +68,7 @@ class Bench:
         if self.force_sensor is not None:
             self.force_sensor.start()
         found = self.check()
+        self.temperatures()
         self.start_axes(reset_faults)
         return found
 

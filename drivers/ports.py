@@ -183,4 +183,8 @@ class ForceSensor(Protocol):
 class Thermometer(Protocol):
     """Places and their temperatures in °C; a recording gets one `temp_<place>_C` column each."""
 
+    name: str
+
+    def check(self) -> DeviceInfo: ...
+
     def read(self) -> Mapping[str, float]: ...

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from drivers.ports import Clock
+from drivers.ports import Clock, DeviceInfo
 from ppshw.errors import HardwareTimeout, InstrumentFault, ProtocolError
 
 COLDEST_C, HOTTEST_C = -40.0, 85.0  # beyond that it is a broken wire, not a hall
@@ -27,7 +27,16 @@ class FileThermometer:
         self.name = name
         self._path, self._clock, self._max_age_s = path, clock, max_age_s
 
+    def check(self) -> DeviceInfo:
+        age, values = self._read()
+        felt = ", ".join(f"{place} {value:.2f} °C" for place, value in values.items())
+        return DeviceInfo(self.name, f"file {self._path.name}", "", "", f"{age:.0f} s old, {felt}")
+
     def read(self) -> Mapping[str, float]:
+        return self._read()[1]
+
+    def _read(self) -> tuple[float, dict[str, float]]:
+        """How old the file is [s], and what it says."""
         try:
             said = json.loads(self._path.read_text(encoding="utf-8"))
             written = datetime.fromisoformat(said["time"])
@@ -43,4 +52,4 @@ class FileThermometer:
         for place, value in values.items():
             if not (math.isfinite(value) and COLDEST_C <= value <= HOTTEST_C):
                 raise InstrumentFault(self.name, f"{place} reads {value:g} °C")
-        return values
+        return age, values

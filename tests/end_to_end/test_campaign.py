@@ -74,7 +74,7 @@ def test_check_names_every_device_and_moves_nothing(rig: Rig) -> None:
     before = rig.hardware.joint_values()
     with open_bench(rig.site, rig.clock, rig.hardware.ports) as bench:
         found = bench.check()
-    assert [info.device for info in found] == [*rig.site.machine.joint_names, "tracker", "force sensor"]
+    assert [info.device for info in found] == [*rig.site.machine.joint_names, "tracker", "force sensor", "thermometers"]
     np.testing.assert_array_equal(rig.hardware.joint_values(), before)
 
 

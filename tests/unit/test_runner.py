@@ -18,7 +18,7 @@ from campaigns.plan import Plan, plan_campaign
 from campaigns.runner import Progress, run_campaign
 from campaigns.script import LoadCase, load_script
 from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WrenchReading
-from ppshw.errors import BeamLost, CampaignError, DriveFault, HardwareError, RecordingError, Stopped
+from ppshw.errors import BeamLost, CampaignError, DriveFault, HardwareError, InstrumentFault, RecordingError, Stopped
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Around, load_recording
 from ppshw.recording_file import RecordingFile
@@ -46,6 +46,7 @@ class FakeAxes:
         self.at = dict.fromkeys(names, 0.0)
         self.moves: list[dict[str, float]] = []
         self.stops = 0
+        self.started = False
         self.closed = False
         self.trouble: tuple[int, BaseException] | None = None
 
@@ -54,6 +55,7 @@ class FakeAxes:
 
     def start(self) -> None:
         self.stops = 0
+        self.started = True
 
     def reset_faults(self) -> None:
         pass
@@ -133,10 +135,18 @@ class FakeSensor:
 
 
 class FakeThermometer:
+    name = "thermometer"
+
     def __init__(self) -> None:
         self.values = [21.0]
+        self.trouble: HardwareError | None = None
+
+    def check(self) -> DeviceInfo:
+        return DeviceInfo(self.name, "fake", "", "", "ready")
 
     def read(self) -> Mapping[str, float]:
+        if self.trouble is not None:
+            raise self.trouble
         return {"column": self.values.pop(0) if len(self.values) > 1 else self.values[0]}
 
 
@@ -331,9 +341,22 @@ def test_pause_waits_and_abort_leaves_a_recording_that_can_go_on(situation: Situ
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
 
 
+def test_no_axis_is_enabled_beside_a_dead_thermometer(situation: Situation) -> None:
+    situation.thermometer.trouble = InstrumentFault("thermometer", "no such file")
+    with pytest.raises(InstrumentFault, match="thermometer: no such file"):
+        situation.run()
+    assert not situation.axes.started
+    assert not situation.out.exists()
+
+
+def test_check_has_a_line_for_every_thermometer(situation: Situation) -> None:
+    with situation.bench() as bench:
+        assert [info.device for info in bench.check()][-3:] == ["tracker", "force sensor", "thermometer"]
+
+
 def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
-    situation.thermometer.values = [21.0, 24.5, 24.0, 22.5]
+    situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
     situation.run()
     assert situation.events("suspended") == ["suspended: column at 24.50 °C, outside 18 … 23 °C"]
     assert len(situation.events("released")) == 1

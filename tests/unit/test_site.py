@@ -99,6 +99,8 @@ def thermometer(folder: Path, text: str) -> FileThermometer:
 def test_a_logger_file_gives_temperatures_as_long_as_it_is_fresh(tmp_path: Path) -> None:
     said = {"time": (START - timedelta(seconds=100)).isoformat(), "temperatures_C": {"hall": 21.25}}
     assert thermometer(tmp_path, json.dumps(said)).read() == {"hall": 21.25}
+    info = thermometer(tmp_path, json.dumps(said)).check()
+    assert (info.device, info.model, info.status) == ("thermometers", "file now.json", "100 s old, hall 21.25 °C")
     said["time"] = (START - timedelta(seconds=130)).isoformat()
     with pytest.raises(HardwareTimeout, match=r"thermometers: .*now\.json is 130 s old, allowed 120 s"):
         thermometer(tmp_path, json.dumps(said)).read()
