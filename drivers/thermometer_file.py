@@ -3,7 +3,7 @@
     {"time": "2026-03-02T06:00:00+00:00", "temperatures_C": {"air": 21.3, "rail": 22.0}}
 
 The file must be replaced in one piece (write another, rename it), and an old one is refused: a stale temperature looks
-exactly like a stable one.
+exactly like a stable one. So is one from the future, which would not grow old for long.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from drivers.ports import Clock, DeviceInfo
 from ppshw.errors import HardwareTimeout, InstrumentFault, ProtocolError
 
 COLDEST_C, HOTTEST_C = -40.0, 85.0  # beyond that it is a broken wire, not a hall
+AHEAD_S = 60.0  # s by which the logger's clock may be ahead of ours
 
 
 class FileThermometer:
@@ -49,6 +50,9 @@ class FileThermometer:
         age = (self._clock.utc() - written).total_seconds()
         if age > self._max_age_s:
             raise HardwareTimeout(self.name, f"{self._path} is {age:.0f} s old, allowed {self._max_age_s:g} s")
+        if age < -AHEAD_S:
+            ahead = f"{-age:.0f} s ahead of our clock (does the logger write local time without its offset from UTC?)"
+            raise InstrumentFault(self.name, f"{self._path} is {ahead}")
         for place, value in values.items():
             if not (math.isfinite(value) and COLDEST_C <= value <= HOTTEST_C):
                 raise InstrumentFault(self.name, f"{place} reads {value:g} °C")

@@ -106,6 +106,14 @@ def test_a_logger_file_gives_temperatures_as_long_as_it_is_fresh(tmp_path: Path)
         thermometer(tmp_path, json.dumps(said)).read()
 
 
+def test_a_logger_file_from_the_future_is_refused_because_it_would_never_grow_old(tmp_path: Path) -> None:
+    said = {"time": (START + timedelta(seconds=50)).isoformat(), "temperatures_C": {"hall": 21.25}}
+    assert thermometer(tmp_path, json.dumps(said)).read() == {"hall": 21.25}  # clocks are never quite the same
+    said["time"] = (START + timedelta(hours=2)).replace(tzinfo=None).isoformat()
+    with pytest.raises(InstrumentFault, match=r"thermometers: .*now\.json is 7200 s ahead of our clock .*local time"):
+        thermometer(tmp_path, json.dumps(said)).read()
+
+
 def test_a_broken_logger_file_is_no_temperature(tmp_path: Path) -> None:
     with pytest.raises(ProtocolError, match="is not what it should be"):
         thermometer(tmp_path, '{"time": "2026-03-').read()
