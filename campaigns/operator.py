@@ -128,6 +128,8 @@ class ConsoleOperator:
         while self._something_typed() and (line := self._lines.readline()):
             if _is_abort(line):
                 return True
+            if line.strip():
+                self.tell(f"'{line.strip()}' was typed before the question and is not taken.")
         if termios is not None and self._lines.isatty():
             termios.tcflush(self._lines.fileno(), termios.TCIFLUSH)  # half a line
         return False

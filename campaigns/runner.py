@@ -166,15 +166,15 @@ class _Run:
         try:
             while todo:
                 visit = todo[0]
-                command = self._operator.command()
-                if command is not None:
-                    command = self._obey(file, command, visit)
-                if command is Command.REDO and last is not None:
+                command = self._obey(file, self._operator.command(), visit, last)
+                if command is None:
+                    command = self._wait_for_temperature(file, visit, last)
+                if command is Command.REDO:
+                    assert last is not None
                     file.drop_visit(last.index)
                     todo.insert(0, last)
                     last, seconds_left = None, seconds_left + self._plan.durations[todo[0].index]
                     continue
-                self._wait_for_temperature(file)
                 if command is not Command.SKIP:
                     self._change_load(file, visit)
                     self._visit(file, visit)
@@ -257,8 +257,11 @@ class _Run:
         self._baseline(file, f"before the change to load {load.name}")
         asked = self._now()
         answer = self._operator.change_load(load)
-        note = {"asked": asked, "operator": answer.name, "mass_kg": answer.mass, **asdict(load)}
-        self._log(file, "load change", f"{load.name}: {load.mass:g} kg put on by {answer.name}", note)
+        mass = load.mass if answer.mass is None else answer.mass
+        note = {"asked": asked, "operator": answer.name, "mass_kg": mass, **asdict(load)}
+        text = f"{load.name}: {mass:g} kg put on by {answer.name}"
+        text += "" if mass == load.mass else f", {load.mass:g} kg were asked for"
+        self._log(file, "load change", text, note)
         self._load = load.name
         self._baseline(file, f"after the change to load {load.name}")
 
@@ -268,29 +271,36 @@ class _Run:
         reading = self._bench.force_sensor.read()
         self._log(file, "baseline", when, {**_raw_wrench(reading), "q": self._bench.axes.positions()})
 
-    def _wait_for_temperature(self, file: RecordingFile) -> None:
+    def _wait_for_temperature(self, file: RecordingFile, visit: Visit, last: Visit | None) -> Command | None:
+        """Returns when all places are inside their window, or what the operator wants done instead of waiting."""
         window = self._plan.script.temperature
         if window is None:
-            return
+            return None
         suspended = False
         while True:
             outside = {p: t for p, t in self._bench.temperatures().items() if not window[0] <= t <= window[1]}
             if not outside:
                 if suspended:
                     self._log(file, "released", "temperatures are back inside their window")
-                return
+                return None
             if not suspended:
                 text = ", ".join(f"{place} at {t:.2f} °C" for place, t in outside.items())
                 text = f"suspended: {text}, outside {window[0]:g} … {window[1]:g} °C"
                 self._log(file, "suspended", text, outside)
                 self._operator.tell(text)
             suspended = True
-            if self._operator.command() is Command.ABORT:
+            command = self._operator.command()
+            if command is Command.ABORT:
                 raise Stopped("stopped by the operator while suspended")
+            if (wanted := self._obey(file, command, visit, last)) is not None:
+                if command is not Command.PAUSE:  # else the end of the pause says it
+                    self._log(file, "released", f"operator: {wanted.name.lower()}")
+                return wanted
             self._bench.clock.sleep(SUSPENDED_FOR_S)
             self._bench.axes.raise_if_faulty()
 
-    def _obey(self, file: RecordingFile, command: Command, visit: Visit) -> Command:
+    def _obey(self, file: RecordingFile, command: Command | None, visit: Visit, last: Visit | None) -> Command | None:
+        """Returns SKIP or REDO where that is to be done, None where the run goes on."""
         if command is Command.PAUSE:
             self._log(file, "paused", f"before visit {visit.index}")
             command = self._operator.wait_for_command(f"Paused before visit {visit.index + 1}.")
@@ -299,9 +309,13 @@ class _Run:
             raise Stopped(f"stopped by the operator before visit {visit.index + 1} of {len(self._plan.visits)}")
         if command is Command.SKIP:
             self._log(file, "skip", f"visit {visit.index} left out by the operator", {"visit": visit.index})
+            return command
+        if command is Command.REDO and last is not None:
+            self._log(file, "redo", f"visit {last.index} is measured again", {"visit": last.index})
+            return command
         if command is Command.REDO:
-            self._log(file, "redo", f"the visit before {visit.index} is measured again")
-        return command
+            self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.index + 1}.")
+        return None
 
     def _log_trouble(self, file: RecordingFile, error: BaseException, visit: Visit | None) -> None:
         data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}

@@ -31,7 +31,7 @@ class FileThermometer:
     def check(self) -> DeviceInfo:
         age, values = self._read()
         felt = ", ".join(f"{place} {value:.2f} °C" for place, value in values.items())
-        return DeviceInfo(self.name, f"file {self._path.name}", "", "", f"{age:.0f} s old, {felt}")
+        return DeviceInfo(self.name, f"file {self._path.name}", "", "", f"{max(0.0, age):.0f} s old, {felt}")
 
     def read(self) -> Mapping[str, float]:
         return self._read()[1]

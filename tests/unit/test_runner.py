@@ -332,6 +332,14 @@ def test_redo_measures_the_visit_before_again(situation: Situation) -> None:
     load_recording(situation.out, situation.machine)  # times still run forwards
 
 
+def test_redo_is_logged_with_the_visit_that_is_measured_again(situation: Situation) -> None:
+    operator = Scripted(situation, Command.REDO, None, Command.REDO, Command.REDO)
+    situation.run(operator)
+    assert situation.events("redo") == ["visit 1 is measured again"]  # before visit 0 and right after a redo: nothing
+    assert operator.told == [f"Nothing to redo: no visit of this run stands before visit {k}." for k in (1, 2)]
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
 def test_pause_waits_and_abort_leaves_a_recording_that_can_go_on(situation: Situation) -> None:
     with pytest.raises(Stopped, match="before visit 3 of 6"):
         situation.run(Scripted(situation, None, Command.PAUSE, Command.GO_ON, Command.ABORT))
@@ -362,6 +370,32 @@ def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path)
     assert len(situation.events("released")) == 1
     first = load_recording(situation.out, situation.machine).time[0]
     assert first - situation.clock.utc().timestamp() + situation.clock.now() == pytest.approx(120 + 10, abs=1)
+
+
+def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
+    situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
+    situation.thermometer.values = [21.0, 21.0, 21.0, 21.0] + [24.5] * 5 + [22.5]
+    # before visit 1: nothing; suspended: pause, go on, then skip; at visit 2 still too warm: redo visit 0
+    commands = [None, None, Command.PAUSE, Command.GO_ON, Command.SKIP, None, Command.REDO]
+    situation.run(Scripted(situation, *commands))
+    assert situation.events("skip") == ["visit 1 left out by the operator"]
+    assert situation.events("redo") == ["visit 0 is measured again"]
+    assert situation.events("paused") == ["before visit 1"]
+    assert situation.events("released")[:2] == ["operator: go_on", "operator: skip"]
+    assert situation.indices() == [0, 2, 3, 4, 5]
+
+
+def test_the_mass_that_the_operator_put_on_is_the_one_in_the_log(situation: Situation) -> None:
+    class Corrects(AutomaticOperator):
+        def change_load(self, load: LoadCase) -> Answer:
+            return Answer("Ann", 65.0) if load.mass else Answer("Ann")
+
+    situation.run(Corrects())
+    assert situation.events("load change") == [
+        "empty: 0 kg put on by Ann", "box: 65 kg put on by Ann, 50 kg were asked for",
+    ]  # fmt: skip
+    with RecordingFile.open(situation.out) as file:
+        assert [data["mass_kg"] for _, kind, _, data in file.events() if kind == "load change"] == [0.0, 65.0]
 
 
 def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:
@@ -443,6 +477,7 @@ class Terminal:
         self.person, self.program = os.openpty()
         self.lines = os.fdopen(self.program, encoding="utf-8")
         self.answers: list[str] = []
+        self.shown = ""
 
     def type(self, text: str) -> None:
         os.write(self.person, text.encode())
@@ -451,6 +486,7 @@ class Terminal:
     def write(self, text: str) -> int:
         if "Enter when done" in text:
             self.type(self.answers.pop(0))
+        self.shown += text
         return len(text)
 
     def flush(self) -> None:
@@ -474,6 +510,10 @@ def test_what_was_typed_before_a_load_change_is_no_answer_to_it(terminal: Termin
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     terminal.type("\n\nhalf a li")
     assert console.change_load(BOX) == Answer("Bob", 148.0)
+    terminal.answers = ["Ann\n"]
+    terminal.type("s\n")
+    console.change_load(BOX)
+    assert "'s' was typed before the question and is not taken." in terminal.shown
 
 
 def test_an_abort_typed_before_a_load_change_is_one(terminal: Terminal) -> None:
