@@ -23,7 +23,16 @@ from campaigns.bench import Bench
 from campaigns.operator import Command, Operator
 from campaigns.plan import Plan, Visit, check_setpoints
 from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading
-from ppshw.errors import BeamLost, HardwareError, PpshwError, RecordingError, Stopped
+from ppshw.errors import (
+    BeamLost,
+    CampaignError,
+    CompensationRefused,
+    HardwareError,
+    PpshwError,
+    RecordingError,
+    RunFailed,
+    Stopped,
+)
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import Around, columns_for
 from ppshw.recording_file import RecordingFile
@@ -230,8 +239,14 @@ class _Run:
         wrench = np.zeros(6) if self._bench.force_sensor is None else self._bench.force_sensor.read().wrench
         around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures())
         here = np.array([now[j] for j in self._joints])
-        commanded = np.asarray(self._map(wanted, wrench, here, around), dtype=float)
-        check_setpoints(commanded.tolist(), self._plan.machine, f"visit {visit.index} ({visit.step}), corrected")
+        who = f"visit {visit.index} ({visit.step}), corrected"
+        try:
+            commanded = np.asarray(self._map(wanted, wrench, here, around), dtype=float)
+            check_setpoints(commanded.tolist(), self._plan.machine, who)
+        except CompensationRefused as refused:
+            raise RunFailed(f"{who}: {refused}") from refused
+        except CampaignError as beyond:
+            raise RunFailed(str(beyond)) from beyond
         return commanded
 
     def _shots(self, file: RecordingFile, visit: Visit, q: Array) -> list[Shot]:

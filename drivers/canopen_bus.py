@@ -7,6 +7,7 @@ the receiving thread, so they never read by SDO and never raise. A lost adapter 
 from __future__ import annotations
 
 import logging
+import re
 import struct
 import threading
 from collections.abc import Collection, Mapping
@@ -18,7 +19,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.ports import Clock
-from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout
+from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout, SiteError
 
 log = logging.getLogger(__name__)
 
@@ -92,6 +93,8 @@ class CanBus:
             network.connect(ignore_config=True, **self.config.can)
         except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
             raise BusLost(self.config.name, f"cannot be opened: {error}") from error
+        except (TypeError, KeyError, AttributeError) as error:  # by which python-can refuses its arguments
+            raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
         self._network, self._loss = network, None
         if self.config.host_node_id is not None:
             network.send_periodic(0x700 + self.config.host_node_id, b"\x05", self.config.host_heartbeat_period)
@@ -161,6 +164,12 @@ class _LossListener(can.Listener):
 
     def on_error(self, exc: Exception) -> None:
         self._bus.lost(exc)
+
+
+def _what_is_wrong(error: Exception) -> str:
+    text = str(error)
+    lacking = re.findall(r"'(\w+)'", text) if isinstance(error, KeyError) or " missing " in text else []
+    return f"lacks {', '.join(lacking)}" if lacking else f"cannot be used: {text}"
 
 
 @dataclass(frozen=True)

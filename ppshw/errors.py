@@ -10,6 +10,7 @@
     │   ├── ReportError
     │   └── CompensationRefused
     ├── IdentificationFailed   the data do not determine what was asked
+    ├── RunFailed              a visit cannot be carried out as asked, in the middle of a campaign
     ├── Stopped                the operator stopped the run
     └── HardwareError          a device and the cause
         ├── DriveFault             the drive reports a fault
@@ -74,6 +75,10 @@ class CompensationRefused(BadInput):
 
 class IdentificationFailed(PpshwError):
     pass
+
+
+class RunFailed(PpshwError):
+    """What would have been bad input before the run shows in the middle of it, when visits are in the recording."""
 
 
 class Stopped(PpshwError):

@@ -350,6 +350,20 @@ def test_a_visit_whose_final_approach_begins_beyond_a_limit_is_refused_before_an
     assert f"{desk / 'little.yaml'}:10: step poses: the final approach to rail = -0.79 begins beyond" in line
 
 
+@pytest.mark.parametrize(
+    ("bus", "lacks"),
+    [
+        ("{interface: socketcand, channel: can0}", "CAN socketcand can0: 'can.bus' of the site file lacks host, port"),
+        ("{interface: slcan}", "CAN slcan ?: 'can.bus' of the site file lacks channel"),
+        ("{channel: desk}", "CAN ? desk: 'can.bus' of the site file lacks interface"),
+        ("{interface: virtual, channel: [1]}", "CAN virtual [1]: 'can.bus' of the site file cannot be used: unhashable"),
+    ],
+)
+def test_a_bus_that_is_described_badly(desk: Path, bus: str, lacks: str) -> None:
+    swap("{interface: virtual, channel: desk}", bus)(desk / "site.yaml")
+    assert lacks in refused(desk, "check", "--site", desk / "site.yaml")
+
+
 def test_a_site_whose_machine_file_is_missing_names_that_file(desk: Path) -> None:
     swap("machine: machine.yaml", "machine: other.yaml")(desk / "site.yaml")
     assert f"{desk / 'other.yaml'}: no such file" in refused(desk, "check", "--site", desk / "site.yaml")

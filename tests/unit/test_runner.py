@@ -18,7 +18,16 @@ from campaigns.plan import Plan, plan_campaign
 from campaigns.runner import Progress, run_campaign
 from campaigns.script import LoadCase, load_script
 from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WrenchReading
-from ppshw.errors import BeamLost, CampaignError, DriveFault, HardwareError, InstrumentFault, RecordingError, Stopped
+from ppshw.errors import (
+    BeamLost,
+    CompensationRefused,
+    DriveFault,
+    HardwareError,
+    InstrumentFault,
+    RecordingError,
+    RunFailed,
+    Stopped,
+)
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Around, load_recording
 from ppshw.recording_file import RecordingFile
@@ -414,9 +423,22 @@ def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation:
 
 
 def test_a_correction_beyond_a_limit_moves_nothing(situation: Situation) -> None:
-    with pytest.raises(CampaignError, match=r"visit 0 \(a\), corrected: joint lateral at .* outside its limits"):
+    with pytest.raises(RunFailed, match=r"visit 0 \(a\), corrected: joint lateral at .* outside its limits"):
         situation.run(setpoint_map=lambda wanted, wrench, now, around: wanted + 5.0)
     assert situation.axes.moves == []
+
+
+def test_a_correction_that_is_refused_in_the_middle_is_a_failed_run_not_bad_input(situation: Situation) -> None:
+    def refuses_loads(wanted: Array, wrench: Array, now: Array, around: Around) -> Array:
+        if around.load == "box":
+            raise CompensationRefused("Fy is outside what was identified")
+        return wanted
+
+    with pytest.raises(RunFailed, match=r"^visit 3 \(b\), corrected: Fy is outside what was identified$") as caught:
+        situation.run(setpoint_map=refuses_loads)
+    assert caught.value.exit_code == 1
+    assert situation.indices() == [0, 1, 2]
+    assert situation.events("stopped") == [str(caught.value)]
 
 
 def test_a_compensated_run_is_not_continued_without_its_correction(situation: Situation) -> None:
