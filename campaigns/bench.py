@@ -55,9 +55,22 @@ class Bench:
             error.add_note(f"while closing: {problem}")
 
     def check(self) -> list[DeviceInfo]:
-        """Who every device is and how it is; nothing moves."""
-        instruments = [self.tracker, self.force_sensor, *self.thermometers]
-        return [*self.axes.check(), *(device.check() for device in instruments if device is not None)]
+        """Who every device is and how it is; nothing moves. Raises for the first that does not answer."""
+        return [*self.axes.check(), *(device.check() for device in self._instruments())]
+
+    def look(self) -> list[DeviceInfo]:
+        """check() that goes through every device: a row each, with the problem of those that cannot be used."""
+        rows = self.axes.look()
+        for device in self._instruments():
+            try:
+                rows.append(device.check())
+            except HardwareError as error:
+                rows.append(DeviceInfo(device.name, "", "", "", "", error.cause))
+        return rows
+
+    def _instruments(self) -> list[Tracker | ForceSensor | Thermometer]:
+        sensors = [] if self.force_sensor is None else [self.force_sensor]
+        return [self.tracker, *sensors, *self.thermometers]
 
     def start(self, reset_faults: bool = False) -> list[DeviceInfo]:
         """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker or thermometer.

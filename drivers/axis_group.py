@@ -58,6 +58,20 @@ class Cia402Group:
         self._connect()
         return [axis.info() for axis in self._axes.values()]
 
+    def look(self) -> list[DeviceInfo]:
+        try:
+            self._connect()
+        except HardwareError as error:
+            return [DeviceInfo(name, "", "", "", "", str(error)) for name in self.names]
+        rows = []
+        for axis in self._axes.values():
+            try:
+                rows.append(axis.info())
+            except HardwareError as error:
+                cause = error.cause if error.device == axis.name else str(error)
+                rows.append(DeviceInfo(axis.name, "", "", "", "", cause))
+        return rows
+
     def start(self) -> None:
         self._connect()
         for axis in self._axes.values():

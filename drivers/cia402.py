@@ -126,12 +126,14 @@ class Cia402Axis:
         model = f"{self.sdo.text_if_present(0x1008) or 'drive'} (vendor {_hex(vendor)}, product {_hex(product)})"
         firmware = self.sdo.text_if_present(0x100A) or f"revision {_hex(revision)}"
         status = f"{self.state()}, at {self.position():.6f} {self.config.unit}, heartbeat {self._heartbeat_status()}"
+        problem = ""
         try:
             self.check_identity()
         except IdentityMismatch as mismatch:
-            status += f", WRONG DEVICE: {mismatch.cause}"
+            problem = f"WRONG DEVICE: {mismatch.cause}"
+            status += f", {problem}"
         serial = self.sdo.read_if_present(SERIAL)
-        return DeviceInfo(self.name, model, "" if serial is None else str(serial), firmware, status)
+        return DeviceInfo(self.name, model, "" if serial is None else str(serial), firmware, status, problem)
 
     def _heartbeat_status(self) -> str:
         period_ms = self.sdo.read_if_present(PRODUCER_HEARTBEAT)

@@ -65,13 +65,17 @@ class WallClock:
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Who a device says it is and how it is; what `ppshw check` prints."""
+    """Who a device says it is and how it is; what `ppshw check` prints.
+
+    problem  why it cannot be used; empty: nothing known
+    """
 
     device: str
     model: str
     serial: str
     firmware: str
     status: str
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,9 @@ class AxisGroup(Protocol):
 
     def check(self) -> list[DeviceInfo]:
         """Connect and say who and how each drive is; enables and moves nothing."""
+
+    def look(self) -> list[DeviceInfo]:
+        """check() that does not end at the first drive that cannot be used: its row says why."""
 
     def start(self) -> None:
         """Check identities, write and read back the configuration, start supervision, enable, home if needed."""

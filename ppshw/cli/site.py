@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from shutil import get_terminal_size
 from typing import Any
 
 from ppshw.cli.answers import new_file, say
 from ppshw.cli.setpoints import final_approach
+from ppshw.errors import HardwareError
 from ppshw.progress import Bar
+
+NARROWEST = 16  # letters of a column that is wrapped
 
 
 def run(a: argparse.Namespace) -> None:
@@ -52,7 +58,24 @@ def check(a: argparse.Namespace) -> None:
 
     site = load_site(a.site)
     with open_bench(site) as bench:
-        devices = bench.check()
-    answer = {"site": site.name, "devices": [vars(d) for d in devices]}
-    lines = [f"{d.device:16}{d.model:24}{d.serial:12}{d.firmware:10}{d.status}" for d in devices]
-    say(a, answer, "\n".join(lines))
+        devices = bench.look()
+        answer = {"site": site.name, "devices": [vars(d) for d in devices]}
+        rows = [(d.device, d.model, d.serial, d.firmware, d.status or f"PROBLEM: {d.problem}") for d in devices]
+        say(a, answer, _columns(rows, get_terminal_size().columns))
+    if wrong := [d for d in devices if d.problem]:
+        more = f" ({len(wrong) - 1} more of {len(devices)} devices have a problem)" if wrong[1:] else ""
+        raise HardwareError(wrong[0].device, wrong[0].problem + more)
+
+
+def _columns(rows: Sequence[Sequence[str]], room: int) -> str:
+    """Columns as wide as what is in them, two spaces between; the widest are wrapped where the room is not enough."""
+    filled = [column for column in zip(*rows, strict=True) if any(column)]
+    widths = [max(map(len, column)) for column in filled]
+    while sum(widths) + 2 * (len(widths) - 1) > room and max(widths) > NARROWEST:
+        widths[widths.index(max(widths))] -= 1
+    lines = []
+    for row in zip(*filled, strict=True):
+        cells = [textwrap.wrap(cell, width, break_on_hyphens=False) for cell, width in zip(row, widths, strict=True)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            lines.append("  ".join(part.ljust(width) for part, width in zip(parts, widths, strict=True)).rstrip())
+    return "\n".join(lines)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from ppshw.calibration import content_digest
-from tests.contract.desk import contents, one_line, refused
+from tests.contract.desk import contents, one_line, ppshw, refused
 
 Spoil = Callable[[Path], None]
 PROGRAM = Path(sys.executable).with_name("ppshw")
@@ -496,7 +496,6 @@ def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.M
     [
         ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file\n"),
         ("identify bad.csv --machine machine.yaml --out c.json", "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside"),
-        ("check --site site.yaml", "ppshw: "),
     ],
 )
 def test_the_program_says_one_line_and_nothing_of_its_insides(desk: Path, words: str, expected: str) -> None:
@@ -504,7 +503,27 @@ def test_the_program_says_one_line_and_nothing_of_its_insides(desk: Path, words:
     RECORDINGS["a setpoint beyond its limit"][0](desk / "bad.csv")
     before = contents(desk)
     done = subprocess.run([PROGRAM, *words.split()], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (1 if words.startswith("check") else 2, "")
+    assert (done.returncode, done.stdout) == (2, "")
     assert one_line(done.stderr)
     assert expected in done.stderr
+    assert contents(desk) == before
+
+
+def test_check_has_a_row_for_every_device_whatever_is_wrong(desk: Path) -> None:
+    """Nothing answers at this site: two drives, a tracker and a force sensor."""
+    before = contents(desk)
+    said = ppshw("check", "--site", desk / "site.yaml", "--json")
+    assert said.code == 1
+    devices = json.loads(said.out)["devices"]
+    assert [device["device"] for device in devices] == ["rail", "turn", "tracker", "force sensor"]
+    assert all(device["problem"] for device in devices)
+    words = [PROGRAM, "check", "--site", "site.yaml"]
+    done = subprocess.run(words, cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert one_line(done.stderr)
+    assert "rail: no SDO answer on vendor 0x1018:01 within 0.3 s (3 more of 4 devices have a problem)" in done.stderr
+    rows = done.stdout.splitlines()
+    assert max(map(len, rows)) <= 80
+    begins = [row.split("  ")[0] for row in rows if not row.startswith(" ")]
+    assert begins == ["rail", "turn", "tracker", "force sensor"]
     assert contents(desk) == before

@@ -401,6 +401,24 @@ def test_a_drive_that_is_not_there_is_named(build: Callable[..., Machine]) -> No
         m.group.check()
 
 
+def test_a_look_at_the_axes_has_a_row_for_each_whatever_is_wrong_with_it(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, LIFT, replace(SLEW, product=0x77))
+    m.drive("slide").go_silent()
+    slide, lift, slew = m.group.look()
+    assert (slide.device, slide.model, lift.device, slew.device) == ("slide", "", "lift", "slew")
+    assert slide.problem == "no SDO answer on vendor 0x1018:01 within 0.2 s"
+    assert lift.problem == ""
+    assert slew.problem == "WRONG DEVICE: product code is 0x50505301, expected 0x77"
+    assert m.drive("slew").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_bus_that_cannot_be_opened_is_the_problem_of_every_axis_on_it() -> None:
+    bus = BusConfig(can={"interface": "slcan", "channel": "socket://127.0.0.1:9", "sleep_after_open": 0})
+    rows = Cia402Group((SLIDE, LIFT), bus, SteppedClock()).look()
+    assert [row.device for row in rows] == ["slide", "lift"]
+    assert all("CAN slcan socket://127.0.0.1:9: cannot be opened" in row.problem for row in rows)
+
+
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
