@@ -28,6 +28,7 @@ class Bench:
 
     atmosphere  the air now; its temperature is recorded as `temp_air_C`
     notes       what goes into the recording's meta (the site file's text and hash)
+    homed       the axes that were homed at the last start
     """
 
     axes: AxisGroup
@@ -38,6 +39,7 @@ class Bench:
     thermometers: tuple[Thermometer, ...] = ()
     atmosphere: Callable[[], Atmosphere] = lambda: STANDARD_AIR
     notes: Mapping[str, str] = field(default_factory=dict)
+    homed: tuple[str, ...] = field(default=(), init=False)
     _started: bool = field(default=False, init=False)
 
     def __enter__(self) -> Bench:
@@ -90,7 +92,7 @@ class Bench:
         if reset_faults:
             self.axes.reset_faults()
         self._started = True
-        self.axes.start()
+        self.homed = tuple(self.axes.start())
 
     def temperatures(self) -> dict[str, float]:
         """Place → °C of every thermometer; `air` is the tracker's atmosphere where no thermometer hangs there.

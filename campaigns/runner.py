@@ -390,7 +390,7 @@ def _origin(plan: Plan) -> dict[str, str]:
 
 def _start_note(devices: list[DeviceInfo], bench: Bench) -> dict[str, Any]:
     found = [{k: v for k, v in asdict(device).items() if k != "problem"} for device in devices]
-    return {"devices": found, "site_sha256": bench.notes.get("site_sha256", "")}
+    return {"devices": found, "homed": list(bench.homed), "site_sha256": bench.notes.get("site_sha256", "")}
 
 
 def _refuse_another_run(file: RecordingFile, wanted: Mapping[str, str]) -> None:

@@ -72,7 +72,7 @@ class Cia402Group:
                 rows.append(DeviceInfo(axis.name, "", "", "", "", cause))
         return rows
 
-    def start(self) -> None:
+    def start(self) -> list[str]:
         self._connect()
         for axis in self._axes.values():
             axis.check_identity()
@@ -85,13 +85,14 @@ class Cia402Group:
             self._exchange(expect_enabled=False)
             for axis in self._axes.values():
                 axis.enable()
-            for axis in self._axes.values():
-                if axis.config.homing is not None and not axis.homed:
-                    self._home(axis)
+            homed = [axis for axis in self._axes.values() if axis.config.homing is not None and not axis.homed]
+            for axis in homed:
+                self._home(axis)
             self._exchange()
         except BaseException:
             self.quick_stop()
             raise
+        return [axis.name for axis in homed]
 
     def home(self, name: str) -> None:
         """Home one axis again, homed or not."""

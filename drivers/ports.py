@@ -103,8 +103,11 @@ class AxisGroup(Protocol):
     def look(self) -> list[DeviceInfo]:
         """check() that does not end at the first drive that cannot be used: its row says why."""
 
-    def start(self) -> None:
-        """Check identities, write and read back the configuration, start supervision, enable, home if needed."""
+    def start(self) -> list[str]:
+        """Check identities, write and read back the configuration, start supervision, enable, home if needed.
+
+        Returns the axes that were homed: their zeros are new.
+        """
 
     def move(self, setpoints: Mapping[str, float]) -> MoveReport:
         """Drive to the setpoints, all axes starting together; returns when all are settled."""

@@ -606,7 +606,7 @@ HOMED = replace(SLIDE, homing=HomingConfig(method=17, offset=-0.5, fast=0.2, slo
 def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callable[..., Machine]) -> None:
     m = build(HOMED, absolute=False, start=70_000, home_at=20_000)
     assert not m.group.axis("slide").homed
-    m.group.start()
+    assert m.group.start() == ["slide"]
     assert m.group.axis("slide").homed
     assert round(m.drive("slide").motor_position()) == 20_000
     assert m.group.positions()["slide"] == pytest.approx(-0.5)
@@ -617,6 +617,7 @@ def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callabl
 def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:
     m = build(HOMED, home_at=20_000)
     m.group.start()
+    assert m.group.start() == []
     m.group.move({"slide": 0.3})
     m.group.home("slide")
     assert round(m.drive("slide").motor_position()) == 20_000

@@ -62,9 +62,10 @@ class FakeAxes:
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
 
-    def start(self) -> None:
+    def start(self) -> list[str]:
         self.stops = 0
         self.started = True
+        return ["yaw"]
 
     def reset_faults(self) -> None:
         pass
@@ -241,6 +242,7 @@ def test_what_the_run_was_made_with_is_in_the_recording(situation: Situation) ->
         assert meta["campaign"] == SCRIPT
         assert meta["machine_sha256"] == situation.machine.sha256
         assert "canopen" in meta["versions"]
+        assert next(data["homed"] for _, kind, _, data in file.events() if kind == "start") == ["yaw"]
         shots = file.shots(1)
     assert [target for target, _ in shots] == ["P1", "P2", "P3", "wrench"]
     assert shots[0][1]["ppm"] == 0.5
