@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaigns.script import LoadCase, PosesStep, RandomStep, ReversalsStep, Script, Step, SweepStep
+from drivers.axis_config import trapezoid_time
 from ppshw import kinematics
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Machine
@@ -301,12 +301,10 @@ def _at(home: Array, q: Mapping[str, float], machine: Machine, where: str) -> Ar
 
 # --- how long ------------------------------------------------------------------------------------------------
 def travel_time(joint: Joint, distance: float) -> float:
-    """Trapezoid, or triangle where the distance is too short for full speed: d/v + v/a, or 2 √(d/a).  [s]"""
+    """As fast as the machine file allows: what a site makes slower is not known here.  [s]"""
     velocity = (joint.limits and joint.limits.velocity) or VELOCITY_GUESS
     acceleration = (joint.limits and joint.limits.acceleration) or ACCELERATION_GUESS
-    if distance >= velocity**2 / acceleration:
-        return distance / velocity + velocity / acceleration
-    return 2.0 * math.sqrt(distance / acceleration)
+    return trapezoid_time(distance, velocity, acceleration)
 
 
 def _durations(visits: Sequence[Visit], script: Script, machine: Machine, home: Array) -> tuple[float, ...]:

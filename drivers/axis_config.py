@@ -100,8 +100,12 @@ class AxisConfig:
         return None if self.approach_from is None else setpoint + self.approach_from * self.approach_distance
 
     def travel_time(self, distance: float) -> float:
-        """Seconds for a trapezoid (or triangle) over `distance` from rest to rest."""
-        slowest = min(self.acceleration, self.deceleration or self.acceleration)
-        if distance < self.velocity**2 / slowest:
-            return 2.0 * math.sqrt(max(0.0, distance) / slowest)
-        return distance / self.velocity + self.velocity / slowest
+        """Seconds from rest to rest, speeding up no faster than it slows down: never less than it takes."""
+        return trapezoid_time(distance, self.velocity, min(self.acceleration, self.deceleration or self.acceleration))
+
+
+def trapezoid_time(distance: float, velocity: float, acceleration: float) -> float:
+    """From rest to rest: trapezoid, or triangle where it is too short for full speed: d/v + v/a, or 2 √(d/a).  [s]"""
+    if distance >= velocity**2 / acceleration:
+        return distance / velocity + velocity / acceleration
+    return 2.0 * math.sqrt(max(0.0, distance) / acceleration)

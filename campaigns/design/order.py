@@ -41,7 +41,7 @@ class Rounds:
 def travel(machine: Machine, a: Array, b: Array) -> Array:
     """Seconds from poses a (..., n) to poses b (..., n): joints start together, the slowest decides.
 
-    The same law as `campaigns.plan.travel_time`, for many.
+    The same law as `drivers.axis_config.trapezoid_time`, for many.
     """
     speeds = [((j.limits and j.limits.velocity) or VELOCITY_GUESS) for j in machine.joints]
     rates = [((j.limits and j.limits.acceleration) or ACCELERATION_GUESS) for j in machine.joints]

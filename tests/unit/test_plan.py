@@ -11,6 +11,7 @@ import pytest
 
 from campaigns.plan import Plan, plan_campaign, travel_time
 from campaigns.script import load_script
+from drivers.axis_config import AxisConfig
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Limits, Machine, load_machine
 
@@ -145,6 +146,8 @@ def test_another_seed_gives_another_plan(tmp_path: Path, pps: Machine) -> None:
 def test_travel_takes_what_a_trapezoid_takes(distance: float, seconds: float) -> None:
     joint = Joint("x", True, np.eye(4), np.array([1.0, 0, 0]), Limits(-2, 2, 0.1, 0.1), 0.0, np.zeros(3), None)
     assert travel_time(joint, distance) == pytest.approx(seconds)
+    axis = AxisConfig("x", 1, 1e5, -2, 2, velocity=0.1, acceleration=0.5, deceleration=0.1)
+    assert axis.travel_time(distance) == pytest.approx(seconds)  # the driver's law, with the slower of both rates
 
 
 def test_the_duration_counts_travel_settling_measuring_and_load_changes(tmp_path: Path, pps: Machine) -> None:
