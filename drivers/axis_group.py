@@ -104,7 +104,11 @@ class Cia402Group:
             raise
 
     def _home(self, axis: Cia402Axis) -> None:
-        home(axis, self._bus, lambda: self._exchange(expect_enabled=False))
+        try:
+            home(axis, self._bus, lambda: self._exchange(expect_enabled=False))
+        except Stopped:
+            self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
+            raise
 
     def reset_faults(self) -> None:
         """Acknowledge the faults of all drives; enables none. start() goes on from there."""

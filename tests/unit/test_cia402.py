@@ -668,6 +668,23 @@ def test_an_axis_that_falls_silent_while_another_one_homes_stops_the_homing(buil
     assert m.drive("slide").power is not Power.OPERATION_ENABLED
 
 
+def test_an_axis_that_trips_just_before_a_homing_command_is_named(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m = build(HOMED, LIFT)
+    m.group.start()
+
+    def trip() -> None:
+        m.drive("lift").trip(0x2310)
+        deadline = time.monotonic() + 5.0
+        while m.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    monkeypatch.setattr(m.group, "raise_if_faulty", trip)
+    with pytest.raises(DriveFault, match="lift: drive fault 0x2310"):
+        m.group.home("slide")
+
+
 # words
 
 
