@@ -41,6 +41,8 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
             by_load = same_cause = False
         if candidate.joint != other.joint and candidate.frame != other.frame:  # elsewhere, over this joint's position
             same_joint = same_joint and _left_there(tried, other) >= SAME_EFFECT * evidence
+        if other.effect == "zero_shift":  # at once along the own way: nothing elsewhere but in time
+            same_joint = same_joint and (same_place(candidate, other) or candidate.covariate == "time")
         riddle = other.effect == "nameless" and of_a_riddle(candidate, other)
         # what a base that wanders leaves may by chance go with a temperature
         wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate

@@ -10,22 +10,27 @@ from ppshw.diagnosis.library.sampled import LAGS_H, temperature_places, that_act
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
+# Share of a scale that goes with what the machine's own parts measure, where the air has a thermometer: beams go
+# through the air.
+AIR, OF_THE_MACHINE = "air", 0.05
 MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero
 
 
 def tracker_scale(c: Context) -> Iterator[Candidate]:
     constant = Column("points", "scale", {})
     yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
-    for place in temperature_places(c):
+    places = temperature_places(c)
+    for place in places:
+        likely = OF_THE_MACHINE if AIR in places and place != AIR else 1.0
         grows = Column("points", "scale", {"place": place})
-        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5)
-        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5)
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5 * likely)
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5 * likely)
         # about another point than where the instrument is said to stand: everything shifts with the temperature as well
         shifts = tuple(Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3))
-        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3)
+        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3 * likely)
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
-            late = Column("points", "scale", {"place": place, "tau": tau})
-            yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), {"lag_h": tau}, share=0.05)
+            late, lag = Column("points", "scale", {"place": place, "tau": tau}), {"lag_h": tau}
+            yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), lag, share=0.05 * likely)
 
 
 def force_sensor(c: Context) -> Iterator[Candidate]:
