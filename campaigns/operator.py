@@ -142,8 +142,14 @@ class ConsoleOperator:
         return line.strip()
 
     def _parse(self, line: str) -> Command | None:
-        letter = line.strip().lower()[:1]
-        return Command(letter) if letter in _LETTERS else None
+        """A command by its letter or its word; anything else is none, and said to be none."""
+        said = line.strip().lower()
+        for command in Command:
+            if said in (command.value, command.name.lower().replace("_", " ")):
+                return command
+        if said:
+            self.tell(f"'{line.strip()}' is no command: p pause, g go on, s skip, r redo, a abort.")
+        return None
 
 
 def _describe(load: LoadCase) -> str:

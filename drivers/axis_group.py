@@ -260,8 +260,10 @@ class Cia402Group:
             self._exchange()
             for leg in legs():
                 ended_at = self._run_leg(leg)
-        except BaseException:
+        except BaseException as error:
             self.quick_stop()
+            if isinstance(error, Stopped):
+                self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
             raise
         positions = {name: self._position(axis) for name, axis in self._axes.items()}
         return MoveReport(positions, dict(self._approach), ended_at)

@@ -685,6 +685,20 @@ def test_an_axis_that_trips_just_before_a_homing_command_is_named(
         m.group.home("slide")
 
 
+def test_an_axis_that_trips_just_before_a_move_is_commanded_is_named(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def trip(*_: object) -> None:
+        machine.drive("lift").trip(0x2310)
+        deadline = time.monotonic() + 5.0
+        while machine.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    monkeypatch.setattr(machine.group, "_exchange", trip)
+    with pytest.raises(DriveFault, match="lift: drive fault 0x2310"):
+        machine.group.move({"slide": 0.3})
+
+
 # words
 
 

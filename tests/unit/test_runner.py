@@ -546,3 +546,13 @@ def test_an_abort_typed_before_a_load_change_is_one(terminal: Terminal) -> None:
     terminal.type("a\n")
     with pytest.raises(Stopped, match="at the change to load box"):
         console.change_load(BOX)
+
+
+def test_between_two_visits_a_command_is_its_letter_or_its_word_and_nothing_else(terminal: Terminal) -> None:
+    console = ConsoleOperator(terminal.lines, terminal)  # type: ignore[arg-type]
+    found = []
+    for typed in ("Ann\n", "r\n", "Pause\n", "go on\n"):
+        terminal.type(typed)
+        found.append(console.command())
+    assert found == [None, Command.REDO, Command.PAUSE, Command.GO_ON]
+    assert "'Ann' is no command: p pause" in terminal.shown
