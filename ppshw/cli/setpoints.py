@@ -87,9 +87,9 @@ def move(a: argparse.Namespace) -> None:
         there = f"'{site.machine.name}' ({site.machine.file})"
         raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
     with open_bench(site) as bench, Bar() as bar:
+        felt = bench.temperatures() if load_calibration(a.calibration, machine).effects else {}
         bench.start_axes(a.reset_faults)
         here = bench.axes.positions()
-        felt = bench.temperatures() if load_calibration(a.calibration, machine).effects else {}
         _, answer, text = _corrected(a, _found_there(a, site, here, felt))
         there = answer["setpoints"]
         longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
