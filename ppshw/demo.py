@@ -49,6 +49,7 @@ CAMPAIGNS = {
 LEFT = (*CAMPAIGNS, "diagnosis", "verification_base", "verification_extended")
 ANSWERS = ("calibration.json", "extended.json", "diagnosis.json", "seal.sha256", "truth.json", "demo.json",
            "concealed.json", "report.html")  # fmt: skip
+WRITTEN_OVER = ("machine.yaml", "site.yaml", "temperatures.json")  # a demo's own too, but never deleted
 
 
 def run_demo(
@@ -115,7 +116,7 @@ def run_demo(
 
 @contextmanager
 def fresh_folder(out: Path, machine_file: Path) -> Iterator[Path]:
-    """The folder without what an earlier demo left there; other files stay, and nobody else's recording is touched.
+    """The folder without what an earlier demo left there; other files stay, and nobody else's file is touched.
 
     Yields the machine file's copy in it; no other demo may use the folder meanwhile.
     """
@@ -123,14 +124,17 @@ def fresh_folder(out: Path, machine_file: Path) -> Iterator[Path]:
         raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
     ours = [*(f"{c}.db" for c in LEFT), *(f"{c}.db-journal" for c in LEFT), *ANSWERS]
-    there = [name for name in ours if (out / name).exists()]
+    there = [name for name in (*ours, *WRITTEN_OVER) if (out / name).exists()]
     if there and not (out / MARK).exists():
         raise BadInput(f"{out}: holds {there[0]}, which no demo made; expected another folder")
     with only_writer(out / "demo"):
         (out / MARK).write_text("made by ppshw demo; the next one with this --out replaces it\n", encoding="utf-8")
-        for name in there:
-            (out / name).unlink()
-        yield Path(shutil.copyfile(machine_file, out / "machine.yaml"))
+        for name in ours:
+            (out / name).unlink(missing_ok=True)
+        copy = out / "machine.yaml"
+        if not (copy.exists() and copy.samefile(machine_file)):
+            shutil.copyfile(machine_file, copy)
+        yield copy
 
 
 def as_wanted(wanted: Array, wrench: Array, here: Array, around: Around) -> Array:

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from ppshw.demo import CAMPAIGNS, run_demo
+from ppshw.demo import CAMPAIGNS, fresh_folder, run_demo
+from ppshw.errors import BadInput
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
 from ppshw.recording_file import RecordingFile
@@ -92,6 +93,25 @@ def test_a_short_demo_does_the_whole_job(tmp_path: Path, scripts: dict[str, str]
         assert (compensated.q_cmd[:, j] != nominal.q_cmd[:, j]).any()
     with RecordingFile.open(out / "verification_nominal.db", readonly=True) as file:
         assert file.meta()["setpoints"] == "nominal"
+
+
+@pytest.mark.parametrize("name", ["machine.yaml", "site.yaml", "temperatures.json", "report.html"])
+def test_a_folder_with_somebody_s_own_files_is_refused_and_left_as_it_was(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=f"holds {name}, which no demo made"), fresh_folder(
+        tmp_path, ROOT / "machines/pps.yaml"
+    ):
+        pass
+    assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == {name: "mine\n"}
+
+
+def test_a_demo_may_be_made_again_of_the_machine_that_it_left(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    with fresh_folder(out, ROOT / "machines/pps.yaml") as machine:
+        (out / "report.html").write_text("of before", encoding="utf-8")
+    with fresh_folder(out, machine) as again:
+        assert again.read_bytes() == (ROOT / "machines/pps.yaml").read_bytes()
+        assert not (out / "report.html").exists()
 
 
 def contract(found: dict[str, Any]) -> None:
