@@ -32,6 +32,7 @@ from ppshw.recording import Around, Recording, load_recording
 from ppshw.recording_file import only_writer
 from ppshw.report import build_report
 from ppshw.verification import point_errors, repeatability
+from ppshw.whole_file import file_hash
 from simulators.clock import SteppedClock
 from simulators.hardware import SimulatedHardware
 
@@ -90,7 +91,7 @@ def run_demo(
             identify_s = time.perf_counter() - identified
             calibration = Calibration.of(estimate, recording, method)
             calibration.save(out / "calibration.json")
-            corrected, label = Compensator(calibration).setpoint_map(), calibration.provenance["recording_sha256"]
+            corrected, label = Compensator(calibration).setpoint_map(), file_hash(out / "calibration.json")
             after = point_errors(measure("verification_compensated", corrected, label), machine, POINT)
         answer = {
             "uncompensated": figures(before),

@@ -39,6 +39,7 @@ from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms.at_hand import Verdict
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
+from ppshw.whole_file import file_hash
 from simulators.clock import SteppedClock
 from simulators.hardware import SimulatedHardware, ToConceal
 
@@ -110,12 +111,11 @@ def run_concealed(
             more = extended(found.space, found.found)
             more.save(out / "extended.json")
 
-            label, compensator = base.provenance["recording_sha256"], Compensator(more)
+            compensator, label = Compensator(more), file_hash(out / "calibration.json")
             before = measure("verification_nominal", "verification", as_wanted, "nominal")
             by_base = measure("verification_base", "verification", Compensator(base).setpoint_map(), label)
-            by_more = measure(
-                "verification_extended", "verification", compensator.setpoint_map(after=by_base), f"{label} extended"
-            )
+            corrected, label = compensator.setpoint_map(after=by_base), file_hash(out / "extended.json")
+            by_more = measure("verification_extended", "verification", corrected, label)
             recordings = dict(zip(ROWS, (before, by_base, by_more), strict=True))
             errors = {row: point_errors(r, machine, POINT) for row, r in recordings.items()}
             (out / "truth.json").write_bytes(hardware.carried.truth)

@@ -1,7 +1,9 @@
-"""Files that are written whole or not at all: beside their place first, then moved there in one step."""
+"""Files that are written whole or not at all: beside their place first, then moved there in one step; and their
+hash."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,3 +34,8 @@ def write_text(path: Path, text: str, error: type[BadInput] = BadInput) -> None:
             partial.write_text(text, encoding="utf-8")
     except OSError as exc:
         raise error(f"{path}: cannot be written ({exc.strerror or exc})") from None
+
+
+def file_hash(path: Path | str) -> str:
+    """SHA-256 of what a file holds, as `sha256sum` prints it."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

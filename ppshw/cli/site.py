@@ -13,6 +13,7 @@ from ppshw.cli.answers import new_file, say
 from ppshw.cli.setpoints import final_approach
 from ppshw.errors import HardwareError
 from ppshw.progress import Bar
+from ppshw.whole_file import file_hash
 
 NARROWEST = 16  # letters of a column that is wrapped
 
@@ -47,10 +48,8 @@ def _setpoint_map(a: argparse.Namespace, site: Any) -> tuple[Callable[..., Any] 
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator
 
-    calibration = load_calibration(a.calibration, site.machine)
-    compensator = Compensator(calibration)
-    label = calibration.provenance["recording_sha256"] + (" with effects" if calibration.effects else "")
-    return compensator.setpoint_map(final_approach=final_approach(site)), label
+    compensator = Compensator(load_calibration(a.calibration, site.machine))
+    return compensator.setpoint_map(final_approach=final_approach(site)), file_hash(a.calibration)
 
 
 def check(a: argparse.Namespace) -> None:

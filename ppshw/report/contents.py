@@ -5,7 +5,6 @@ A file that is there but broken is an error: a report that leaves it out in sile
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from ppshw.errors import ReportError
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.recording_file import RecordingFile, is_sqlite
+from ppshw.whole_file import file_hash
 
 MACHINE, CALIBRATION = "machine.yaml", "calibration.json"
 RESULT = "demo.json"
@@ -101,7 +101,7 @@ def _calibration(folder: Path, machine: Machine, sources: list[Source], missing:
         return None
     calibration = load_calibration(path, machine)
     about = f"calibration, method '{calibration.provenance.get('method', 'unknown')}'"
-    sources.append(Source(CALIBRATION, _file_hash(path), about))
+    sources.append(Source(CALIBRATION, file_hash(path), about))
     return calibration
 
 
@@ -146,7 +146,7 @@ def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
         raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
     if not isinstance(found, dict):
         raise ReportError(f"{path}: expected an object with the run's figures, found {type(found).__name__}")
-    sources.append(Source(path.name, _file_hash(path), "figures that the run printed"))
+    sources.append(Source(path.name, file_hash(path), "figures that the run printed"))
     return found, path.name
 
 
@@ -177,7 +177,3 @@ def _point(machine: Machine, recordings: dict[str, Recording]) -> str:
 def _measured(recording: Recording) -> Iterator[str]:
     yield from recording.extra_points
     yield from recording.target_names
-
-
-def _file_hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

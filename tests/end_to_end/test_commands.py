@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -112,17 +113,37 @@ def measured(path: Path) -> int:
         return 0
 
 
-def test_move_drives_to_the_corrected_setpoints_and_only_on_the_machine_that_stands_there(hall: Path) -> None:
+def test_a_run_does_not_go_on_with_another_calibration_of_the_same_recording(hall: Path) -> None:
+    calibrate(hall, "one.json")
+    data = json.loads((hall / "one.json").read_text(encoding="utf-8"))
+    data["terms"][0]["parameters"][0]["value"] += 1e-4
+    (hall / "two.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")
+    loaded = SCRIPT.replace("{name: empty, mass: 0}, ", "").replace("COUNT", "4")
+    (hall / "loaded.yaml").write_text(loaded, encoding="utf-8")
+    words = ["run", "loaded.yaml", "--site", "site.yaml", "--out", "corrected.db", "--json", "--calibration"]
+    assert run(hall, *words, "one.json")["measured"] == 4
+    assert "corrected.db: was begun with another setpoint correction" in run(hall, *words, "two.json", code=2)
+    with RecordingFile.open(hall / "corrected.db", readonly=True) as file:
+        assert file.meta()["setpoints"] == hashlib.sha256((hall / "one.json").read_bytes()).hexdigest()
+
+
+def calibrate(folder: Path, name: str) -> Path:
+    """A calibration of the machine in the hall, written there; returns its machine file."""
     machine = load_machine(ROOT / "machines/pps.yaml")
     plant = Plant.from_file(machine.file, seed=1)
-    recording = load_recording(simulate_recording_csv(plant, hall / "r.csv", 90), machine)
-    Calibration.of(identify(machine, recording), recording, "joint").save(hall / "cal.json")
+    recording = load_recording(simulate_recording_csv(plant, folder / "r.csv", 90), machine)
+    Calibration.of(identify(machine, recording), recording, "joint").save(folder / name)
+    return Path(machine.file)
+
+
+def test_move_drives_to_the_corrected_setpoints_and_only_on_the_machine_that_stands_there(hall: Path) -> None:
+    machine_file = calibrate(hall, "cal.json")
     wanted = ["--joints", "0.1 0.05 0.4 0.1 0 0", "--wrench", "0 -981 0 294 0 0", "--calibration", "cal.json"]
     found = run(hall, "move", "--machine", "pps", "--site", "site.yaml", *wanted, "--json")
     assert found["reached"] == pytest.approx(found["setpoints"], abs=1e-6)
     assert found["reached"] != pytest.approx(found["nominal"], abs=1e-6)
     other = hall / "other.yaml"
-    other.write_text("# not the one in the hall\n" + Path(machine.file).read_text(encoding="utf-8"), encoding="utf-8")
+    other.write_text("# not the one in the hall\n" + machine_file.read_text(encoding="utf-8"), encoding="utf-8")
     data = json.loads((hall / "cal.json").read_text(encoding="utf-8"))
     data["provenance"]["machine_sha256"] = load_machine(other).sha256
     (hall / "cal.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")
