@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,3 +38,13 @@ def new_file(path: str, *inputs: str) -> Path:
         if out.exists() and Path(given).exists() and out.samefile(given):
             raise BadInput(f"{out}: is what is read here, expected another file to write")
     return out
+
+
+def new_files(paths: Sequence[str], *inputs: str) -> None:
+    """Where several answers may go, each into a file of its own. Raises BadInput like `new_file`."""
+    taken: set[Path] = set()
+    for path in paths:
+        place = new_file(path, *inputs).resolve()
+        if place in taken:
+            raise BadInput(f"{path}: two answers would go there, expected a file for each")
+        taken.add(place)

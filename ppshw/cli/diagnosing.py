@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, say
+from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
@@ -35,9 +35,7 @@ def diagnose(a: argparse.Namespace) -> None:
         raise BadInput(f"--without {min(without - set(NAMES))}: no such effect, expected some of {', '.join(NAMES)}")
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
-    for out in (a.json, a.out, a.page):
-        if out is not None:
-            new_file(out, a.rec, a.machine)
+    new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     answer = found.answer

@@ -119,7 +119,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput(f"--joint {a.joint}: no such joint (there are: {', '.join(machine.joint_names)})")
     if a.out is None:
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
-    out = new_file(a.out, machine.file, *([a.after] if a.after else []))
+    out = new_file(a.out, machine.file, a.after or a.campaign)
     so_far = plan_campaign(load_script(a.campaign), machine) if a.after is None else load_recording(a.after, machine)
     words = f"ppshw plan --to-separate {a.to_separate}" + (f" --joint {a.joint}" if a.joint else "")
     words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {a.seed}"

@@ -15,7 +15,8 @@ from ppshw.progress import Bar
 def simulate(a: argparse.Namespace) -> None:
     from simulators.serve import serve
 
-    machine, site = machine_of(a), new_file(a.site_out, a.machine)
+    machine = machine_of(a)
+    site = new_file(a.site_out, machine.file)
 
     def announce(path: Path) -> None:
         print(json.dumps({"site": str(path)}), flush=True)
