@@ -249,12 +249,13 @@ def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
 
 
 def _check_limits(cells: _Cells, machine: Machine, q_cmd: Array) -> None:
+    """Of what was commanded only: where an encoder's word stands for it, the axis was there already."""
     lower, upper = machine.limits()
+    names = [f"q_cmd_{j}" for j in machine.joint_names]
     outside = (q_cmd < lower - LIMIT_ROUNDING) | (q_cmd > upper + LIMIT_ROUNDING)
-    for row, k in np.argwhere(outside)[:1]:
-        j = machine.joint_names[k]
-        name = f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}"
-        cells.fail(int(row), name, f"setpoint {q_cmd[row, k]:g} is outside the limits {lower[k]:g} … {upper[k]:g}")
+    for row, k in np.argwhere(outside & [name in cells for name in names])[:1]:
+        value = f"{q_cmd[row, k]:g}"
+        cells.fail(int(row), names[k], f"setpoint {value} is outside the limits {lower[k]:g} … {upper[k]:g}")
 
 
 class _Cells:

@@ -57,6 +57,10 @@ def test_only_what_was_commanded_must_be_inside_the_limits(tmp_path: Path) -> No
     assert found.q[0, 0] == 0.80002
     with pytest.raises(RecordingError, match=r"r\.csv:2: column q_cmd_rail: setpoint 0\.800002 is outside"):
         read(tmp_path, "q_cmd_rail,q_rail,q_turn,P1_x,P1_y,P1_z", "0.800002,0.8,0,0,0,0")
+    found = read(tmp_path, "q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.81,0,0,0,0")  # nobody says where it was sent
+    assert found.q[0, 0] == found.q_cmd[0, 0] == 0.81
+    with pytest.raises(RecordingError, match=r"r\.csv:3: column q_cmd_turn: setpoint -1\.6 is outside"):
+        read(tmp_path, "q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.81,0,0,0,0", "0.81,-1.6,0,0,0")
 
 
 def test_time_is_utc_whatever_way_it_is_written(tmp_path: Path) -> None:
