@@ -162,7 +162,29 @@ def read_diagnosis(folder: Path) -> dict[str, Any] | None:
     lacking = {"verdict", "findings", "held_out", "noise_floor_mm"} - set(found if isinstance(found, dict) else ())
     if lacking:
         raise ReportError(f"{path}: no answer of a diagnosis, without {', '.join(sorted(lacking))}")
+    try:
+        _look_at(found)
+    except (KeyError, TypeError, ValueError, AttributeError) as exc:
+        what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
+        raise ReportError(f"{path}: no answer of a diagnosis: {what}") from None
     return dict(found)
+
+
+def _look_at(answer: dict[str, Any]) -> None:
+    """What the page takes from an answer, once before it is believed."""
+    numbers = [answer["noise_floor_mm"], *(answer["held_out"][f"rms_{when}_mm"] for when in ("before", "after"))]
+    texts = [item["sentence"] for item in (*answer["findings"], *answer.get("corrections", ()))]
+    if left := answer.get("unexplained"):
+        texts += left["covariates"]
+    if checks := answer.get("checks"):
+        made = [*checks["before"], *checks["after"]]
+        numbers += [c["p"] for c in made]
+        texts += [c["about"] for c in made]
+        texts += [c["where"] for c in made if c["where"]]
+    if strange := [x for x in numbers if not isinstance(x, (int, float))]:
+        raise ValueError(f"{strange[0]!r:.40} where a number is expected")
+    if strange := [x for x in texts if not isinstance(x, str) or not x]:
+        raise ValueError(f"{strange[0]!r:.40} where a text is expected")
 
 
 def _point(machine: Machine, recordings: dict[str, Recording]) -> str:

@@ -10,6 +10,7 @@ import shutil
 from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -423,11 +424,26 @@ def test_an_unknown_measuring_frame_is_placed_by_the_calibration(copy: Path) -> 
     assert any("there is no calibration that places it" in m.why for m in missing)
 
 
+def answer(**other: Any) -> str:
+    """What a diagnosis answered, one thing other than it is."""
+    held = {"rms_before_mm": 0.1, "rms_after_mm": 0.1}
+    return json.dumps({"verdict": "consistent", "findings": [], "held_out": held, "noise_floor_mm": 0.1, **other})
+
+
 @pytest.mark.parametrize(
     ("name", "text", "wanted"),
     [
         ("calibration.json", '{"format": "ppshw cal', "not valid JSON, or cut off"),
         ("demo.json", "[1]", "expected an object"),
+        ("diagnosis.json", "[1]", "no answer of a diagnosis, without findings"),
+        ("diagnosis.json", answer(findings=[{"effect": "drift"}]), "no answer of a diagnosis: 'sentence' is missing"),
+        ("diagnosis.json", answer(findings=[{"sentence": ""}]), "'' where a text is expected"),
+        ("diagnosis.json", answer(findings="none"), "no answer of a diagnosis"),
+        ("diagnosis.json", answer(corrections=[{"sentence": 7}]), "7 where a text is expected"),
+        ("diagnosis.json", answer(held_out={"rms_before_mm": 0.1}), "'rms_after_mm' is missing"),
+        ("diagnosis.json", answer(noise_floor_mm="small"), "'small' where a number is expected"),
+        ("diagnosis.json", answer(unexplained={"p_value": 0}), "'covariates' is missing"),
+        ("diagnosis.json", answer(checks={"before": []}), "'after' is missing"),
         ("repeatability.db", "SQLite format 3\x00 and no more", "not a recording"),
         ("campaign.csv", "q_cmd_rail\n0,1\n", "2 cells"),
     ],
