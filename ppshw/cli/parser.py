@@ -73,7 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     g.add_argument("--loads", metavar="SCRIPT", help="only load cases of this script (default: 20 to 200 kg, or less)")
     g.add_argument("--load-cases", type=count, metavar="K", help="how many loads to put on (default: 4)")
     g.add_argument("--point", help="where accuracy counts (default: treatment, or the tip)")
-    g.add_argument("--seed", type=seed, default=1, help="of everything random (default: 1)")
+    g.add_argument("--seed", type=seed, help="of everything random (default: 1)")
 
     p = add("run", run, "run a campaign; the same command again goes on where it stopped")
     p.add_argument("campaign", help="campaign script (a file, or the name of one that comes with ppshw)")
@@ -159,9 +159,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
     p.add_argument("--out", required=True, metavar="DIR")
-    p.add_argument("--cases", type=count, default=108, metavar="N", help="default: 108, the whole deck once")
+    p.add_argument("--cases", type=count, metavar="N", help="default: 108, the whole deck once")
     p.add_argument("--seed", type=seed, default=1)
-    p.add_argument("--removed", type=seed, default=0, metavar="N",
+    p.add_argument("--removed", type=seed, metavar="N",
                    help="N more whose effect's name is taken out of the library (default: 0)")  # fmt: skip
     p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")
     _cluster(p)

@@ -63,7 +63,8 @@ def plan(a: argparse.Namespace) -> None:
 
 
 _FORESEEN = 1000  # visits up to which a plan says unasked what it is blind to: two seconds
-_OF_A_DESIGN = ("visits", "accuracy", "after", "calibration", "loads", "load_cases", "point", "out")
+_OF_A_DESIGN = ("visits", "accuracy", "after", "calibration", "loads", "load_cases", "point", "out", "seed")
+_SEED = 1  # where none is given
 
 
 def _designed(
@@ -85,14 +86,15 @@ def _designed(
     if a.out is None:
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the designed campaign goes")
     out = new_file(a.out, machine.file, *(x for x in (a.after, a.calibration, a.loads) if x))
+    seed = _SEED if a.seed is None else a.seed
     words = " ".join(f"{key.replace('_', '-')} {Path(str(v)).name if key != '--accuracy' else f'{v * 1e3:g}mm'}"
-                     for key, v in asked.items() if key != "--out")  # fmt: skip
+                     for key, v in asked.items() if key not in ("--out", "--seed"))  # fmt: skip
     question = Question(
         machine, a.visits, a.accuracy,
         None if a.after is None else load_recording(a.after, machine),
         None if a.calibration is None else load_calibration(a.calibration, machine),
         None if a.loads is None else load_script(a.loads),
-        a.load_cases, a.point, a.seed, out.stem, f"ppshw plan {words} --seed {a.seed}",
+        a.load_cases, a.point, seed, out.stem, f"ppshw plan {words} --seed {seed}",
     )  # fmt: skip
     with Bar() as bar, written_whole(out, may_be_missing=True) as partial:
         found = design(question, partial, lambda stage: lambda k, n: bar(stage, k, n))
@@ -112,8 +114,8 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput(f"--to-separate {a.to_separate}: expected two different effects and a comma between them")
     if (a.campaign is None) == (a.after is None):
         raise BadInput("plan: --to-separate needs what there is so far: a campaign, or --after REC")
-    for given in ("accuracy", "calibration", "loads", "load_cases", "point"):
-        if getattr(a, given) is not None:
+    for given in ("accuracy", "calibration", "loads", "load_cases", "point", "list", "visibility"):
+        if getattr(a, given) not in (None, False):
             raise BadInput(f"plan: --{given.replace('_', '-')} has no meaning with --to-separate")
     if a.joint is not None and a.joint not in machine.joint_names:
         raise BadInput(f"--joint {a.joint}: no such joint (there are: {', '.join(machine.joint_names)})")
@@ -121,11 +123,12 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
     out = new_file(a.out, machine.file, a.after or a.campaign)
     so_far = plan_campaign(load_script(a.campaign), machine) if a.after is None else load_recording(a.after, machine)
+    seed = _SEED if a.seed is None else a.seed
     words = f"ppshw plan --to-separate {a.to_separate}" + (f" --joint {a.joint}" if a.joint else "")
-    words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {a.seed}"
+    words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {seed}"
     with Bar() as bar:
         found = separate(
-            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, a.seed, out.stem, words),
+            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, seed, out.stem, words),
             lambda k, n: bar("candidates", k, n),
         )
     visits = sum(len(block.q) for block in found.blocks)

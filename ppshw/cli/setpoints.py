@@ -44,6 +44,8 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     if a.point not in ("tip", *machine.points, *machine.targets):
         known = ", ".join(["tip", *machine.points, *machine.targets])
         raise BadInput(f"--point: no point named '{a.point}' in {machine.file}, expected one of {known}")
+    if a.joints is not None and a.near is not None:
+        raise BadInput("--near: chooses among the ways to reach a pose, and --joints says which one already")
     if a.joints is not None:
         setpoints = compensator.for_joints(numbers(a.joints, machine.n, "--joints"), payload, a.point, given)
     else:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, say
 from ppshw.cli.arguments import machine_of
+from ppshw.errors import BadInput
 from ppshw.progress import Bar
 
 
@@ -51,6 +52,9 @@ def demo(a: argparse.Namespace) -> None:
 
 def _demo_concealed(a: argparse.Namespace) -> None:
     from ppshw.demo_concealed import run_concealed, sentences, table_rows
+
+    if a.method != "joint":
+        raise BadInput(f"--method {a.method}: has no meaning with --conceal, which does not run the paper's campaign")
 
     def announce(seal: str) -> None:
         print(f"seal {seal}", file=sys.stderr, flush=True)

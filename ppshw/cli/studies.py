@@ -6,14 +6,16 @@ import argparse
 from pathlib import Path
 
 from ppshw.cli.answers import say
-from ppshw.errors import PpshwError
+from ppshw.errors import BadInput, PpshwError
 from ppshw.progress import Bar
 
 
 def prove(a: argparse.Namespace) -> None:
     from ppshw.prove import deck, removed_deck, run_prove, sentences, short_deck
 
-    cases = short_deck(a.seed) if a.short else deck(a.cases, a.seed) + removed_deck(a.removed, a.seed)
+    if a.short and (a.cases is not None or a.removed is not None):
+        raise BadInput("prove: --short is a dozen cases of its own; --cases and --removed have no meaning with it")
+    cases = short_deck(a.seed) if a.short else deck(a.cases or 108, a.seed) + removed_deck(a.removed or 0, a.seed)
     with Bar() as bar:
         answer = run_prove(Path(a.out), cases, workers=a.workers, scheduler=a.scheduler, say=bar)
     say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
