@@ -9,7 +9,7 @@ import numpy as np
 
 from ppshw.cli.answers import EVALUATED_PER_S, FIGURE_HEAD, STEPWISE_PER_S, figure_row, new_file, say
 from ppshw.cli.arguments import machine_of
-from ppshw.progress import Bar
+from ppshw.progress import Bar, folded
 
 
 def identify(a: argparse.Namespace) -> None:
@@ -59,7 +59,7 @@ def identify(a: argparse.Namespace) -> None:
     )
     if a.method != "paper":
         text += f"\n  not told apart       {summary(ambiguous)}"
-    say(a, answer, text)
+    say(a, answer, folded(text.splitlines()))
 
 
 def evaluate(a: argparse.Namespace) -> None:
@@ -80,4 +80,4 @@ def evaluate(a: argparse.Namespace) -> None:
     for u in answer.get("unexplained", ()):
         lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
                      f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")
-    say(a, answer, "\n".join(lines))
+    say(a, answer, folded(lines))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ppshw import __version__
 from ppshw.cli.arguments import count, length, positive, seed
@@ -18,8 +18,20 @@ from ppshw.cli.site import check, run
 from ppshw.cli.studies import prove, study
 
 
+class _Help(argparse.HelpFormatter):
+    """Several words of one option as their metavar says them, which may be given as one word too: no `[... ...]`."""
+
+    def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
+        if action.nargs == "+" and isinstance(action.metavar, str):
+            return action.metavar
+        return super()._format_args(action, default_metavar)
+
+
 class _Parser(argparse.ArgumentParser):
     """Complaints in one line, like every other."""
+
+    def __init__(self, **named: Any) -> None:
+        super().__init__(formatter_class=_Help, **named)
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
@@ -129,8 +141,8 @@ def build_parser() -> argparse.ArgumentParser:
                        help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
         p.add_argument("--from", dest="start", nargs="+", metavar="Q1 … QN",
                        help="joint values that the move starts from: they tell the directions of approach")  # fmt: skip
-        p.add_argument("--approach", nargs="+", metavar="JOINT=+1", help="direction of a joint's final motion")
-        p.add_argument("--temperature", nargs="+", metavar="PLACE=21.5",
+        p.add_argument("--approach", nargs="+", metavar="JOINT=+1 …", help="direction of a joint's final motion")
+        p.add_argument("--temperature", nargs="+", metavar="PLACE=21.5 …",
                        help="of a place, by the recording's name for it [°C]")  # fmt: skip
         p.add_argument("--loaded-for", type=positive, metavar="S", help="how long the load has been on [s]")
         if name == "move":
@@ -148,7 +160,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--json", required=True, metavar="OUT.json", help="the answer")
     p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
     p.add_argument("--page", metavar="OUT.html", help="a page with pictures: where it sits, what was found, how sure")
-    p.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects that are not to be thought of")
+    p.add_argument("--without", nargs="+", default=[], metavar="NAME …", help="effects that are not to be thought of")
 
     p = add("twin", twin, "what a calibration says the visits of a recording would have read, and whether they did")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")

@@ -9,7 +9,7 @@ from typing import Any
 from ppshw.cli.answers import new_file, say
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
-from ppshw.progress import Bar
+from ppshw.progress import Bar, folded
 from ppshw.whole_file import written_whole
 
 
@@ -34,7 +34,7 @@ def plan(a: argparse.Namespace) -> None:
     else:
         designed, lines = _designed(a, machine, answer, asked)
         if designed is None:
-            say(a, answer, "\n".join(lines))
+            say(a, answer, folded(lines))
             return
         found = designed
     summary = found.summary()
@@ -51,15 +51,18 @@ def plan(a: argparse.Namespace) -> None:
         foresight = foresee(found)
         answer["visibility"], answer["assumed"] = foresight.rows, foresight.assumed
         lines += foresight.warnings() + (foresight.table() if a.visibility else [])
+    text = folded(lines)
     if a.list:
         names = machine.joint_names
         answer["plan"] = [
             {"index": v.index, "step": v.step, "load": v.load, "setpoints": dict(zip(names, v.setpoints, strict=True))}
             for v in found.visits
         ]
-        for v in found.visits:
-            lines.append(f"{v.index:5} {v.step:20} {v.load:12} " + " ".join(f"{x:9.4f}" for x in v.setpoints))
-    say(a, answer, "\n".join(lines))
+        step, load = (max(len(getattr(v, label)) for v in found.visits) for label in ("step", "load"))
+        rows = [f"{v.index:5} {v.step:{step}} {v.load:{load}}" + "".join(f"{x:9.4f}" for x in v.setpoints)
+                for v in found.visits]  # fmt: skip
+        text = "\n".join([text, *rows])
+    say(a, answer, text)
 
 
 _FORESEEN = 1000  # visits up to which a plan says unasked what it is blind to: two seconds
@@ -134,12 +137,12 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     visits = sum(len(block.q) for block in found.blocks)
     answer.update(separation=found.rows, visits=visits, duration_s=found.seconds, out=a.out if visits else None)
     if not visits:
-        say(a, answer, "\n".join([*found.lines(), "told apart already, or by no visits tried: nothing written"]))
+        say(a, answer, folded([*found.lines(), "told apart already, or by no visits tried: nothing written"]))
         return
     with written_whole(out, may_be_missing=True) as partial:
         partial.write_text(found.text, encoding="utf-8")
     plan_campaign(load_script(out), machine)
-    say(a, answer, "\n".join([*found.lines(), f"{visits} visits, about {_hours(found.seconds)}", a.out]))
+    say(a, answer, folded([*found.lines(), f"{visits} visits, about {_hours(found.seconds)}", a.out]))
 
 
 def _hours(seconds: float) -> str:

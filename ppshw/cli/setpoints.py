@@ -10,7 +10,7 @@ import numpy as np
 from ppshw.cli.answers import say
 from ppshw.cli.arguments import machine_of, numbers, pairs
 from ppshw.errors import BadInput
-from ppshw.progress import Bar
+from ppshw.progress import Bar, folded
 
 
 def _circumstances(a: argparse.Namespace, machine: Any) -> Any:
@@ -68,9 +68,9 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
         lines.append(f"{joint.name:16}{nominal:14.6f}{corrected:14.6f}{corrected - nominal:+14.6f}  {joint.unit}")
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
-    lines.append(f"{a.point}: {size:.3f} mm off without correction; the model is sure to {std:.3f} mm (1 sigma)")
+    lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
     lines += [f"{'compensated' if v.taken_out else 'not compensated'}: {v.sentence()}" for v in setpoints.effects]
-    return machine, answer, "\n".join(lines)
+    return machine, answer, folded(lines)
 
 
 def compensate(a: argparse.Namespace) -> None:
