@@ -32,7 +32,7 @@ from ppshw.recording import Around, Recording, load_recording
 from ppshw.recording_file import only_writer
 from ppshw.report import build_report
 from ppshw.verification import point_errors, repeatability
-from ppshw.whole_file import file_hash
+from ppshw.whole_file import file_hash, write_text
 from simulators.clock import SteppedClock
 from simulators.hardware import SimulatedHardware
 
@@ -108,7 +108,7 @@ def run_demo(
             "machine_hours": round(clock.now() / 3600, 1),
             "seconds": round(time.perf_counter() - started, 1),
         }
-        (out / "demo.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+        write_text(out / "demo.json", json.dumps(answer, indent=1))
         say("report", 0, 1)
         build_report(out)
         say("report", 1, 1)

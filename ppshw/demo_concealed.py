@@ -39,7 +39,7 @@ from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms.at_hand import Verdict
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
-from ppshw.whole_file import file_hash
+from ppshw.whole_file import file_hash, write_text
 from simulators.clock import SteppedClock
 from simulators.hardware import SimulatedHardware, ToConceal
 
@@ -107,7 +107,7 @@ def run_concealed(
             began = time.perf_counter()
             found = diagnose(machine, recording, progress=lambda k, n: say("diagnose", k, n))
             diagnose_s = time.perf_counter() - began
-            (out / "diagnosis.json").write_text(json.dumps(found.answer, indent=1), encoding="utf-8")
+            write_text(out / "diagnosis.json", json.dumps(found.answer, indent=1))
             more = extended(found.space, found.found)
             more.save(out / "extended.json")
 
@@ -142,7 +142,7 @@ def run_concealed(
             "machine_hours": round(clock.now() / 3600, 1),
             "seconds": round(time.perf_counter() - started, 1),
         }
-        (out / "concealed.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+        write_text(out / "concealed.json", json.dumps(answer, indent=1))
         return answer
 
 

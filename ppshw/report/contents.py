@@ -60,6 +60,7 @@ class Contents:
     recordings: dict[str, Recording]
     result: dict[str, Any]
     result_name: str
+    diagnosis: dict[str, Any] | None
     sources: tuple[Source, ...]
     missing: tuple[Missing, ...]
 
@@ -85,12 +86,13 @@ def read_folder(folder: Path) -> Contents:
             recordings[stem] = load_recording(path, machine)
             sources.append(_recording_source(path, recordings[stem]))
     result, result_name = _result(folder, sources)
+    diagnosis = _diagnosis(folder, sources)
     if calibration is None and not recordings and not result:
         names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), RESULT])
         raise ReportError(f"{folder}: nothing to report on beside {MACHINE}, expected any of {names}")
     point = _point(machine, recordings)
     return Contents(
-        folder, machine, point, calibration, recordings, result, result_name, tuple(sources), tuple(missing)
+        folder, machine, point, calibration, recordings, result, result_name, diagnosis, tuple(sources), tuple(missing)
     )
 
 
@@ -150,7 +152,7 @@ def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
     return found, path.name
 
 
-def read_diagnosis(folder: Path) -> dict[str, Any] | None:
+def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
     """What a diagnosis in the folder answered, None without one. Raises ReportError where it is broken."""
     path = folder / DIAGNOSIS
     if not path.is_file():
@@ -167,6 +169,7 @@ def read_diagnosis(folder: Path) -> dict[str, Any] | None:
     except (KeyError, TypeError, ValueError, AttributeError) as exc:
         what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
         raise ReportError(f"{path}: no answer of a diagnosis: {what}") from None
+    sources.append(Source(path.name, file_hash(path), "what a diagnosis answered"))
     return dict(found)
 
 

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from ppshw.diagnosis.checks import sentence
 from ppshw.errors import ReportError
 from ppshw.report import figures, functions, tables
-from ppshw.report.contents import Contents, read_diagnosis, read_folder
+from ppshw.report.contents import Contents, read_folder
 from ppshw.report.numbers import Fit, Numbers, compute, fit
 from ppshw.report.picture import BEFORE, Picture
 from ppshw.report.tables import mm, timed
@@ -114,7 +114,7 @@ def headline(contents: Contents, numbers: Numbers) -> str:
 
 def _diagnosed(contents: Contents) -> list[str]:
     """What a diagnosis in the folder says, in sentences; empty without one."""
-    answer = read_diagnosis(contents.folder)
+    answer = contents.diagnosis
     if answer is None:
         return []
     held, checks = answer["held_out"], answer.get("checks")

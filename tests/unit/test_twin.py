@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from dataclasses import dataclass, replace
@@ -239,6 +240,7 @@ def test_the_report_of_a_folder_says_what_its_diagnosis_found(rig: Rig, tmp_path
     page = build_report(tmp_path).read_text(encoding="utf-8")
     assert "Vertical lags behind." in page
     assert "On visits that the fit never saw" in page
+    assert hashlib.sha256((tmp_path / "diagnosis.json").read_bytes()).hexdigest() in page
     (tmp_path / "diagnosis.json").write_text('{"verdict": "consistent"}')
     with pytest.raises(ReportError, match="no answer of a diagnosis, without findings, held_out"):
         build_report(tmp_path)
