@@ -25,18 +25,6 @@ def rotation_rpy(rpy: Array) -> Array:
     return out
 
 
-def rpy_of(rotation: Array) -> Array:
-    """The inverse of `rotation_rpy`; pitch within ±π/2.
-
-    rotation (..., 3, 3)
-    returns  (..., 3)     [rad]
-    """
-    roll = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
-    pitch = -np.arcsin(np.clip(rotation[..., 2, 0], -1.0, 1.0))
-    yaw = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
-    return np.stack([roll, pitch, yaw], axis=-1)
-
-
 def transform(rotation: Array, translation: Array) -> Array:
     """(..., 3, 3) and (..., 3) → (..., 4, 4)."""
     shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
