@@ -70,9 +70,10 @@ class Ambiguity:
     @property
     def sentence(self) -> str:
         what = _spoken(self.parameter)
-        others = [_spoken(name) for name, _ in self.like[:3]]
-        if len(self.like) > 3:
-            others.append(f"{len(self.like) - 3} more")
+        spoken = list(dict.fromkeys(_spoken(name) for name, _ in self.like))  # of a function's waves all sound alike
+        others = ["other parts of itself" if words == what else words for words in spoken[:3]]
+        if len(spoken) > 3:
+            others.append(f"{len(spoken) - 3} more")
         said = f"{what}, with {_listed(others)}" if others else f"{what}, which nothing showed"
         return f"{said}: {'no visit separates them' if self.visit is None else 'would show with ' + self.visit.words}"
 
@@ -227,10 +228,15 @@ def _hung(machine: Machine, q: Array, loads: list[tuple[float, Array] | None], u
 def _load_words(wrench: Array) -> str:
     if not wrench.any():
         return "no load"
-    weight, k = np.linalg.norm(wrench[:3]), int(np.argmax(np.abs(wrench[3:])))
-    moment = wrench[3 + k]
-    about = f" with moment about {'xyz'[k]} ({moment:.3g} N·m)" if abs(moment) > 0.05 * weight else " over the sensor"
-    return f"a load of {weight:.3g} N{about}"
+    weight, k = float(np.linalg.norm(wrench[:3])), int(np.argmax(np.abs(wrench[3:])))
+    moment = float(wrench[3 + k])
+    where = f"with moment about {'xyz'[k]} ({_short(moment)} N·m)" if abs(moment) > 0.05 * weight else "over the sensor"
+    return f"a load of {_short(weight)} N {where}"
+
+
+def _short(value: float) -> str:
+    """Three digits, and no power of ten in what a machine carries."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 NAME = re.compile(r"(?P<frame>.+)\.(?:(?P<component>[tr][xyz])|C\[(?P<a>\w+),(?P<b>\w+)\])\[(?P<index>\d+)\]")

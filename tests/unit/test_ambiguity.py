@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ppshw.cli import main
-from ppshw.identification.ambiguity import Ambiguity, ambiguities
+from ppshw.identification.ambiguity import Ambiguity, _load_words, ambiguities
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
@@ -74,6 +74,18 @@ def test_without_loads_a_load_is_asked_for(recorded: tuple[Machine, Recording]) 
     elastic = [a for n, a in found_in(machine, bare).items() if n.startswith("pitch.C[r") and a.visit is not None]
     assert elastic
     assert all("a load of" in a.visit.words for a in elastic if a.visit)
+
+
+def test_its_sentence_says_nothing_twice_and_loads_without_powers_of_ten() -> None:
+    waves = [(f"longitudinal.C[tz,Mz][{k}]", 1.0) for k in (1, 2, 4)]
+    like = (*waves, ("longitudinal.C[rx,Mz][3]", 0.5))
+    found = Ambiguity("longitudinal.C[tz,Mz][3]", like, 0.9, None)
+    assert found.sentence == (
+        "how its position changes tz per Mz of frame longitudinal, with other parts of itself and how its position "
+        "changes rx per Mz of frame longitudinal: no visit separates them"
+    )
+    assert _load_words(np.array([0, -2009.6, 0, 0, 0, -1734.4])) == (
+        "a load of 2010 N with moment about z (-1730 N·m)")  # fmt: skip
 
 
 def test_the_command_says_it_in_words_in_json_and_in_the_calibration(
