@@ -62,7 +62,8 @@ class Cia402Group:
         try:
             self._connect()
         except HardwareError as error:
-            return [DeviceInfo(name, "", "", "", "", str(error)) for name in self.names]
+            unreached = f"{error.cause}; not reached: {', '.join(self.names)}"
+            return [DeviceInfo(error.device, "", "", "", "", unreached)]
         rows = []
         for axis in self._axes.values():
             try:

@@ -101,7 +101,8 @@ class AxisGroup(Protocol):
         """Connect and say who and how each drive is; enables and moves nothing."""
 
     def look(self) -> list[DeviceInfo]:
-        """check() that does not end at the first drive that cannot be used: its row says why."""
+        """check() that does not end at the first drive that cannot be used: its row says why. One row for a bus that
+        cannot be opened."""
 
     def start(self) -> list[str]:
         """Check identities, write and read back the configuration, start supervision, enable, home if needed.
