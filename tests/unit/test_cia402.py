@@ -669,19 +669,20 @@ def test_an_axis_that_falls_silent_while_another_one_homes_stops_the_homing(buil
     assert m.drive("slide").power is not Power.OPERATION_ENABLED
 
 
+def trip_lift_and_wait(m: Machine) -> None:
+    """Until the emergency has stopped the slide."""
+    m.drive("lift").trip(0x2310)
+    deadline = time.monotonic() + 5.0
+    while m.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
+        time.sleep(0.001)
+
+
 def test_an_axis_that_trips_just_before_a_homing_command_is_named(
     build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     m = build(HOMED, LIFT)
     m.group.start()
-
-    def trip() -> None:
-        m.drive("lift").trip(0x2310)
-        deadline = time.monotonic() + 5.0
-        while m.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
-            time.sleep(0.001)
-
-    monkeypatch.setattr(m.group, "raise_if_faulty", trip)
+    monkeypatch.setattr(m.group, "raise_if_faulty", lambda: trip_lift_and_wait(m))
     with pytest.raises(DriveFault, match="lift: drive fault 0x2310"):
         m.group.home("slide")
 
@@ -689,13 +690,7 @@ def test_an_axis_that_trips_just_before_a_homing_command_is_named(
 def test_an_axis_that_trips_just_before_a_move_is_commanded_is_named(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def trip(*_: object) -> None:
-        machine.drive("lift").trip(0x2310)
-        deadline = time.monotonic() + 5.0
-        while machine.drive("slide").power is Power.OPERATION_ENABLED and time.monotonic() < deadline:
-            time.sleep(0.001)
-
-    monkeypatch.setattr(machine.group, "_exchange", trip)
+    monkeypatch.setattr(machine.group, "_exchange", lambda: trip_lift_and_wait(machine))
     with pytest.raises(DriveFault, match="lift: drive fault 0x2310"):
         machine.group.move({"slide": 0.3})
 
