@@ -17,6 +17,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import CampaignError
 from ppshw.machine import Machine
 from ppshw.recording import Recording
+from ppshw.whole_file import write_text
 
 # A model is made for about this many visits where the number is what is asked for.
 ABOUT = 300
@@ -85,7 +86,7 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
         if question.accuracy is None
         else designer.design_for(question.accuracy, progress("design"))
     )
-    out.write_text(script_text(design, question.name, question.asked), encoding="utf-8")
+    write_text(out, script_text(design, question.name, question.asked))
     plan = plan_campaign(load_script(out), machine)
     _design(design, plan, numbers, lines)
     return Answer(numbers, lines, plan)

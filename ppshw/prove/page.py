@@ -12,6 +12,7 @@ import numpy as np
 
 from ppshw.prove.table import percent, points, single
 from ppshw.report.picture import AFTER, FAINT, MARK, Picture, canvas
+from ppshw.whole_file import write_text
 
 Json = dict[str, Any]
 STYLE = (
@@ -124,10 +125,10 @@ def power_picture(document: Json, scores: Sequence[Json]) -> Picture:
 def write_page(out: Path, document: Json, scores: Sequence[Json]) -> None:
     """prove.md and prove.html, the latter with a picture and nothing from outside."""
     text = markdown(document)
-    (out / "prove.md").write_text(text, encoding="utf-8")
+    write_text(out / "prove.md", text)
     drawn = "".join(_figure(p) for p in ([power_picture(document, scores)] if single(scores) else []))
     head = f"<!doctype html><meta charset='utf-8'><title>Concealed cases</title><style>{STYLE}</style>"
-    (out / "prove.html").write_text(head + _tables(text) + drawn, encoding="utf-8")
+    write_text(out / "prove.html", head + _tables(text) + drawn)
 
 
 def _figure(p: Picture) -> str:

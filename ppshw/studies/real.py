@@ -39,6 +39,7 @@ from ppshw.studies.real_tables import Check, Row, draw, markdown
 from ppshw.studies.stationing import across, identify_leaning
 from ppshw.terms import Situation
 from ppshw.terms.basis import Constant, Smooth
+from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
 TOP = Path(__file__).resolve().parents[2]
@@ -278,9 +279,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "checks": [check.as_dict() for check in study.checks],
         "seconds": round(time.perf_counter() - began, 1),
     }
-    (args.out / "real.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    write_text(args.out / "real.json", json.dumps(answer, indent=1))
     text = markdown(study.rows, study.checks, args.short)
-    (args.out / "real.md").write_text(text, encoding="utf-8")
+    write_text(args.out / "real.md", text)
     draw(study.residuals, motions, args.out / "real.svg")
     print(text)
     return 0

@@ -12,6 +12,7 @@ from typing import Any
 from ppshw.errors import BadInput, PpshwError
 from ppshw.studies.engine import Cluster, Function, Job, Outcome, Say, run_jobs
 from ppshw.studies.journal import code
+from ppshw.whole_file import write_text
 
 Json = dict[str, Any]
 Rows = list[dict[str, Any]]
@@ -70,12 +71,12 @@ def run_study(
         "study": study.name, "code": code(), "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
         "seconds_per_job": round(sum(times) / len(times), 3), "lost": outcome.lost, "rows": rows, **more,
     }  # fmt: skip
-    (out / f"{study.name}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    write_text(out / f"{study.name}.json", json.dumps(document, indent=1))
     with (out / f"{study.name}.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
-    (out / f"{study.name}.md").write_text(page(study, document), encoding="utf-8")
+    write_text(out / f"{study.name}.md", page(study, document))
     study.draw(outcome, rows, out / f"{study.name}.png")
     return document
 
