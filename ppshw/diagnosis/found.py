@@ -24,7 +24,8 @@ class Found:
     """best: the candidate that stands for the name; weights of all names; p family-wise when it was found;
     size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
     what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
-    carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up."""
+    carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up;
+    spread: standard deviations of its nonlinear parameters."""
 
     best: int
     name: Name
@@ -38,6 +39,7 @@ class Found:
     at: int = 0
     carried: bool = True
     was: int | None = None
+    spread: dict[str, float] = field(default_factory=dict)
 
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""
@@ -101,16 +103,15 @@ def against_riddles(found: list[Found]) -> float:
 
 
 def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array, float]:
-    """Coefficients of the finding's own form, their standard deviations, and the rms of all its forms [m]."""
+    """Coefficients (k,) of the finding's own form, their covariance (k, k), and the rms of all its forms [m]."""
     _, values = space.coefficients()
     main, every = slice(found.at, found.at + len(candidate.columns)), found.columns(candidate)
-    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))[main]
-    return values[main], std, _rms(space, space.taken[:, :, every] @ values[every])
+    return values[main], np.asarray(space.middle[main, main]), _rms(space, space.taken[:, :, every] @ values[every])
 
 
 def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
-    """Coefficients of the finding's own form and their standard deviations, as if it had no near forms: what a gap or a
-    jump is. Beside near forms, which can be the same or its opposite, they say little."""
+    """Coefficients (k,) of the finding's own form and their covariance (k, k), as if it had no near forms: what a gap
+    or a jump is. Beside near forms, which can be the same or its opposite, they say little."""
     keep = np.ones(len(space.taken_prior), dtype=bool)
     keep[found.columns(candidate)] = False
     keep[found.at : found.at + len(candidate.columns)] = True

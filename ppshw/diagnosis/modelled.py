@@ -44,7 +44,7 @@ def extended(space: Workspace, found: list[Pair]) -> Calibration:
         corrects = _is_correction(candidate)
         columns, values, std = modelled(whole if corrects else alone, candidate, f)
         own, _, rms = coefficients(whole if corrects else alone, candidate, f)
-        said = sentence(candidate, own, rms)
+        said = sentence(space.context, candidate, own, rms)
         if corrects:
             said += f" It is carried without a name, as {in_words(columns, space.machine)}."
         effects.append(Effect(name, candidate.joint, columns, tuple(values.tolist()), tuple(std.tolist()), said))

@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, coefficients, explained, take_up
+from ppshw.diagnosis.parameters import spread_of
 from ppshw.diagnosis.workspace import Workspace
 
 # Weights of names are tempered: forms of real machines differ from the library's by a share of what they explain, so
@@ -34,6 +35,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         others = [g for g in found if g is not f]
         take_up(space, tried, others)
         every, names = tried.said()
+        f.spread = spread_of(tried, f.best, every)
         evidence = names.copy()
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:
@@ -58,8 +60,8 @@ def _soft_walls(space: Workspace, tried: Tried, f: Found) -> None:
     play = ("backlash", candidate.joint)
     if candidate.effect != "friction_hysteresis" or play not in tried.names:
         return
-    lag, std, _ = coefficients(space, candidate, f)
-    lost = 2.0 * (abs(float(lag[0])) + float(std[0]))
+    lag, covariance, _ = coefficients(space, candidate, f)
+    lost = 2.0 * (abs(float(lag[0])) + float(np.sqrt(max(covariance[0, 0], 0.0))))
     if candidate.shape["width"] < SOFT * lost:
         f.weights[play] = max(f.weights.get(play, 0.0), MAY_BE_PLAY * f.weights[f.name])
         total = sum(f.weights.values())

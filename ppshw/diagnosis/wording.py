@@ -1,4 +1,4 @@
-"""A finding in the contract's words: parameters with units, where it sits, how large it is, and a plain sentence."""
+"""A finding in the contract's words: where it sits, how large it is, how sure it is, and a plain sentence."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
+from ppshw.diagnosis.parameters import drifts, numbers_of, rocks
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 
 Array = NDArray[np.float64]
-MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 LEAST_WEIGHT = 0.01
 WEIGHT_TOLD = 0.1  # on the terminal
 LEAST_P = 1e-12
@@ -30,8 +29,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     """One finding of the contract's §4; `space` has all findings taken up."""
     candidate = tried.candidates[found.best]
     rms = coefficients(space, candidate, found)[2]
-    values, std = by_its_own_form(space, candidate, found)
-    parameters = parameters_of(candidate, values, std)
+    values, covariance = by_its_own_form(space, candidate, found)
     weights = found.weights or {found.name: 1.0}
     alternatives = [
         {"effect": effect, "joint": joint, "weight": round(weight, 4)}
@@ -46,13 +44,13 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "component": candidate.component,
         "covariate": candidate.covariate,
         "region": _region(space, candidate.covariate),
-        "parameters": parameters,
+        "parameters": numbers_of(space.context, candidate, values, covariance, found.spread),
         "p_value": found.p,
         "rms_mm": rms * 1e3,
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
         "aliases": [{"effect": effect, "joint": joint} for effect, joint in aliases],
-        "sentence": sentence(candidate, values, rms) + alias_words(found.name, aliases),
+        "sentence": sentence(space.context, candidate, values, rms) + alias_words(found.name, aliases),
     }
 
 
@@ -123,145 +121,6 @@ def history_of(said: Sequence[tuple[str, str]]) -> str | None:
     return ", ".join(dict.fromkeys(part for _, how in said if how for part in how.split(", "))) or None
 
 
-def _unit(candidate: Candidate) -> str:
-    component = candidate.component or ""
-    return "m" if component.startswith("t") else "rad" if component.startswith("r") else "1"
-
-
-def parameters_of(candidate: Candidate, values: Array, std: Array) -> dict[str, dict[str, Any]]:
-    """Values (k,) and standard deviations (k,) of a candidate's k columns under their names, with units."""
-    unit = _unit(candidate)
-    names = [f"c{k + 1}" for k in range(len(values))]
-    factors = np.ones(len(values))
-    units = [unit] * len(values)
-    if candidate.effect == "backlash":
-        names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
-        names[1:] = ["drag", "wear"][: len(names) - 1]
-        if _rocks(candidate):
-            across = COMPONENTS[candidate.columns[-1].component]
-            names[1], factors[1], units[1] = f"rocking_{across}", -2.0, "m" if across.startswith("t") else "rad"
-        if "pressed" in candidate.columns[-1].args:
-            names[1], factors[1] = MORE_BY_LOAD, -2.0
-    elif candidate.effect == "periodic_transmission":
-        amplitude = float(np.hypot(values[0], values[1]))
-        spread = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
-        return {
-            "amplitude": {"value": amplitude, "std": spread, "unit": unit},
-            "phase": {"value": float(np.arctan2(values[1], values[0])), "std": spread / max(amplitude, 1e-30),
-                      "unit": "rad"},
-            "period": {"value": candidate.shape["period"], "std": None, "unit": unit},
-        }  # fmt: skip
-    elif candidate.effect == "tracker_scale":
-        grows = ["place" in column.args for column in candidate.columns]
-        moves = [column.on == "frame" for column in candidate.columns]
-        axes = iter("xyz")
-        names = [f"shift_{next(axes)}" if m else "scale_per_K" if g else "scale"
-                 for m, g in zip(moves, grows, strict=True)]  # fmt: skip
-        units = ["m/K" if m else "1/K" if g else "1" for m, g in zip(moves, grows, strict=True)]
-    elif candidate.effect == "thermal_growth" and len(values) == len(COMPONENTS):
-        names = [f"{component}_per_kelvin" for component in COMPONENTS]
-        units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]
-    elif candidate.effect == "thermal_growth":
-        names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
-        units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
-    elif candidate.effect == "friction_hysteresis":
-        names = ["lag", MORE_BY_LOAD][: len(values)]
-    elif candidate.effect == "zero_shift":
-        back = candidate.columns[-1].function == "settling"
-        names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
-    elif candidate.effect == "target_moved":
-        whens = ORDINALS[: len(values) // 3]
-        names, units = [f"{word}d{axis}" for word in whens for axis in "xyz"], ["m"] * len(values)
-    elif candidate.effect == "moving_weight":
-        names, units = _weight(candidate, unit)
-    elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
-        names = ["half_slack"]
-    elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
-        names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
-        units = [_per_load(unit, candidate.covariate)] * len(values)
-    elif candidate.effect == "wrench_error":
-        names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
-        units = [_misread(column.args) for column in candidate.columns]
-    elif candidate.effect == "clearance":
-        names = ["half_gap", "half_difference"][: len(values)]
-    elif candidate.effect == "creep" and len(values) == len(COMPONENTS):
-        load = WRENCH_COMPONENTS[candidate.columns[0].args["component"]]
-        names = [f"compliance_{component}" for component in COMPONENTS]
-        units = [_per_load("m" if component.startswith("t") else "rad", load) for component in COMPONENTS]
-    elif candidate.effect == "creep":
-        load = WRENCH_COMPONENTS[candidate.columns[0].component]
-        name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
-        second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
-        names, units = [name, second][: len(values)], [of] * len(values)
-    out: dict[str, dict[str, Any]] = {
-        name: {"value": float(v * f), "std": float(s * abs(f)), "unit": u}
-        for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
-    }
-    for name, value in candidate.shape.items():
-        out[name] = {"value": value, "std": None, "unit": _shape_unit(name, unit, candidate.covariate)}
-    return out
-
-
-def _misread_name(args: Mapping[str, Any], again: bool) -> str:
-    """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
-    temperature."""
-    of, source = args["component"], args.get("source", -1)
-    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
-    hourly = "_per_hour" * (args.get("time") == "linear")
-    if of < 0:
-        return "gain" + (kelvin or hourly)
-    name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
-    if args.get("bent"):
-        return f"{name}_{args['bent']}"
-    if args.get("time") == "cosine":
-        return f"{name}_zero_wave_{args['tau']:g}"
-    if args.get("time") == "step":
-        return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
-    return name + (kelvin or "_zero" * (source < 0) + hourly)
-
-
-def _misread(args: Mapping[str, Any]) -> str:
-    """Unit of what a force sensor reads too little: a load, per hour or kelvin; a share of a reading, per load where it
-    grows with it."""
-    of, source = args["component"], args.get("source", -1)
-    if "place" in args and (of < 0 or source == of):
-        return "1/K"
-    if of < 0:
-        return "1/h" if args.get("time") == "linear" else "1"
-    unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
-    if source < 0:
-        return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit
-    if args.get("bent"):
-        return _per_load("1", WRENCH_COMPONENTS[source])
-    return "1" if unit == by else _per_load(unit, WRENCH_COMPONENTS[source])
-
-
-def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
-    if candidate.columns[0].function != "body_weight":
-        return ["compliance"], [f"{unit}/(N m)"]
-    names, units = [], []
-    for args in (column.args for column in candidate.columns):
-        mass, grows = args["what"] == "mass", args.get("grows", 0)
-        name = "mass" if mass else f"shifted_mass_{args['what']}"
-        names.append(name + ("", "_with_travel", "_with_travel_squared")[grows])
-        units.append("kg" if mass else "kg m")
-    return names, units
-
-
-def _shape_unit(name: str, unit: str, covariate: str) -> str:
-    if name.endswith(("load_width", "knee_load")):
-        return _load_unit(covariate)
-    return "h" if name.endswith("_h") else unit if name in ("width", "past") else "1"
-
-
-def _load_unit(covariate: str) -> str:
-    return "N" if covariate.startswith("F") else "N m"
-
-
-def _per_load(unit: str, covariate: str) -> str:
-    return f"{unit}/N" if covariate.startswith("F") else f"{unit}/(N m)"
-
-
 def _region(space: Workspace, covariate: str) -> list[float] | None:
     try:
         values = named_column(space.context, covariate)
@@ -272,7 +131,8 @@ def _region(space: Workspace, covariate: str) -> list[float] | None:
     return [float(np.nanmin(values)), float(np.nanmax(values))]
 
 
-def sentence(candidate: Candidate, values: Array, rms: float) -> str:
+def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str:
+    """Values (k,) of a candidate's own columns, and the rms of all it may be like [m]."""
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
@@ -280,18 +140,20 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
-        "backlash": f"{joint} lags behind by {amount}{_rocks(candidate)} whenever it turns back: lost motion in its "
+        "backlash": f"{joint} lags behind by {amount}{rocks(candidate)} whenever it turns back: lost motion in its "
         f"drive ({size}).",
         "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
         f"{amount}: friction before sliding ({size}).",
         "thermal_growth": f"{joint} moves with {candidate.covariate}: its link grows or bends with heat ({size}).",
-        "drift": f"everything moves slowly with time, as if the base or the tracker did ({size}).",
+        "drift": f"everything moves slowly with time, {_far(c, candidate, values)}as if the base or the tracker did "
+        f"({size}).",
         "tracker_scale": f"all distances from the tracker are wrong by a factor ({size}).",
         "periodic_transmission": f"{joint} is off by a wave of period {candidate.shape.get('period', 0):.5g} along its "
         f"own travel: a screw, a gear or an encoder ({size}).",
         "nonlinear_stiffness": f"{joint} does not give way in proportion to {candidate.covariate} ({size}).",
         "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
-        "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well ({size}).",
+        "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well, "
+        f"{_high(c, candidate, values, unit)}({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
         f"({size}).",
         "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
@@ -303,6 +165,27 @@ def sentence(candidate: Candidate, values: Array, rms: float) -> str:
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _far(c: Context, candidate: Candidate, values: Array) -> str:
+    """How far a drift goes, along the axis and about the axis where it goes farthest."""
+    if candidate.effect != "drift":
+        return ""
+    went = drifts(c, candidate, values, np.zeros((len(values), len(values))))
+    said = []
+    for kind, how, unit in (("t", "along", "mm"), ("r", "about", "mrad")):
+        of = {name: abs(entry["value"]) for name, entry in went.items() if name.startswith(kind)}
+        if of:
+            most = max(of, key=lambda name: of[name])
+            said.append(f"by {of[most] * 1e3:.3f} {unit} {how} {most[1]}")
+    return f"{' and '.join(said)}, "
+
+
+def _high(c: Context, candidate: Candidate, values: Array, unit: str) -> str:
+    if candidate.effect != "cross_coupling":
+        return ""
+    height = numbers_of(c, candidate, values, np.zeros((len(values), len(values))))["peak_to_valley"]["value"]
+    return f"by {height * 1e3:.3f} {unit} from peak to valley "
 
 
 def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
@@ -321,11 +204,6 @@ def _pressed(candidate: Candidate, values: Array, unit: str) -> str:
     """What lost motion is under twice the mean load, where it goes with the load: taken up, or pressed into more."""
     more = [v for v, column in zip(values, candidate.columns, strict=True) if "pressed" in column.args]
     return f" ({2 * abs(values[0] + more[0]) * 1e3:.3f} {unit} at twice its mean load)" if more else ""
-
-
-def _rocks(candidate: Candidate) -> str:
-    across = [column.component for column in candidate.columns if COMPONENTS[column.component] != candidate.component]
-    return f" and rocks ({COMPONENTS[across[0]]})" if across else ""
 
 
 def _hose(candidate: Candidate) -> str:

@@ -10,7 +10,8 @@ import pytest
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.jumps import APART, _best_hops, _best_sets, jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.wording import parameters_of, sentence
+from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
 
@@ -73,10 +74,10 @@ def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped
     assert evidence.max() > evidence[ones].max() + 20
 
     values = np.array([3e-4, -2e-4, 2.5e-4])
-    said = sentence(best, values, 1e-4)
+    said = sentence(slipped.context, best, values, 1e-4)
     assert "+0.300 mrad after" in said
     assert "and -0.200 mrad after" in said
-    assert list(parameters_of(best, values, values)) == [
+    assert list(numbers_of(slipped.context, best, values, np.diag(values))) == [
         "step", "second_step", "third_step", "time_h", "second_time_h", "third_time_h"
     ]  # fmt: skip
 
@@ -108,8 +109,9 @@ def test_a_zero_that_hops_to_and_fro_is_one_amplitude_and_said_so(clean: Workspa
     best = candidates[int(np.argmax(evidence))]
     assert (best.effect, best.joint, best.shape["hops"]) == ("zero_shift", joint, len(HOPS))
     value = np.array([HOP])
-    assert "zero hops between two values 0.200 mrad apart, 7 times, first after" in sentence(best, value, 1e-4)
-    assert list(parameters_of(best, value, value)) == ["step", "time_h", "hops"]
+    c = hopped.context
+    assert "zero hops between two values 0.200 mrad apart, 7 times, first after" in sentence(c, best, value, 1e-4)
+    assert list(numbers_of(c, best, value, np.diag(value))) == ["step", "time_h", "hops"]
 
 
 def test_noise_is_not_split_into_hops() -> None:
@@ -143,9 +145,11 @@ def test_a_reflector_that_was_moved_twice_is_found_at_both_visits_and_said_so(cl
     once = [j for j, k in enumerate(candidates) if len(k.columns) == 3]
     assert evidence.max() > evidence[once].max() + 20
     values = np.array(list(KNOCKS.values())).ravel()
-    assert f"reflector {which} moved by 0.200 mm after" in sentence(best, values, 1e-4)
-    assert " and 0.224 mm after" in sentence(best, values, 1e-4)
-    assert list(parameters_of(best, values, values))[:6] == ["dx", "dy", "dz", "second_dx", "second_dy", "second_dz"]
+    said = sentence(knocked.context, best, values, 1e-4)
+    assert f"reflector {which} moved by 0.200 mm after" in said
+    assert " and 0.224 mm after" in said
+    names = ["dx", "dy", "dz", "second_dx", "second_dy", "second_dz"]
+    assert list(numbers_of(knocked.context, best, values, np.eye(6)))[:6] == names
 
 
 def test_a_reflector_that_stands_alone_was_moved_at_a_moment_or_nobody_can_say_so(clean: Workspace) -> None:

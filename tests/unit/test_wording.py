@@ -7,7 +7,8 @@ import pytest
 
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.wording import column_of, how_sure, parameters_of, sentence
+from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.wording import column_of, how_sure, sentence
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.progress import folded
@@ -30,11 +31,13 @@ def test_every_form_names_each_of_its_numbers_once_and_knows_what_else_it_may_be
             continue
         seen.add(kind)
         values = np.linspace(1e-5, 2e-5, len(candidate.columns))
-        said = parameters_of(candidate, values, values)
-        least = 2 if candidate.effect == "periodic_transmission" else len(values)
+        said = numbers_of(context, candidate, values, np.diag(values))
+        bends = candidate.effect in ("drift", "cross_coupling") or candidate.columns[0].args.get("time") == "cosine"
+        least = 2 if candidate.effect == "periodic_transmission" else 1 if bends else len(values)
         assert len(said) >= least, candidate
         assert all(entry["unit"] for entry in said.values())
-        assert sentence(candidate, values, 1e-4).endswith((".", "mm."))
+        assert not any(name[1:].isdigit() for name in said), candidate
+        assert sentence(context, candidate, values, 1e-4).endswith((".", "mm."))
         near = near_forms(context, candidate)
         assert len({column.key for column in (*candidate.columns, *near)}) == len(candidate.columns) + len(near)
         assert all(np.isfinite(column.evaluate(context)).all() for column in near[::9])
@@ -81,5 +84,5 @@ def test_a_moment_too_small_to_bend_anything_is_no_weight_that_moves(context: Co
 def test_lost_motion_that_a_load_takes_up_is_said_with_what_is_left_of_it(context: Context) -> None:
     taken_up = next(k for k in library(context) if k.effect == "backlash" and "pressed" in k.columns[-1].args)
     unit = "mm" if str(taken_up.component).startswith("t") else "mrad"
-    said = sentence(taken_up, np.array([-5e-5, 4e-5]), 1e-4)
+    said = sentence(context, taken_up, np.array([-5e-5, 4e-5]), 1e-4)
     assert f"by 0.100 {unit} (0.020 {unit} at twice its mean load)" in said

@@ -14,7 +14,8 @@ from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.sampled import MOMENTS, own_component
 from ppshw.diagnosis.locate import covariates
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.wording import column_of, history_of, parameters_of, sentence, stand_ins
+from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.wording import column_of, history_of, sentence, stand_ins
 from ppshw.diagnosis.workspace import CAUTION, FINEST, STANDS_OUT, Workspace, caution_of, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
@@ -129,7 +130,7 @@ def test_a_sensor_whose_gain_changes_with_the_load_is_off_by_its_square_with_or_
 def test_what_a_sensor_misreads_is_said_in_the_units_of_its_components(space: Workspace) -> None:
     units = {
         (k.columns[0].args["component"], k.columns[0].args.get("source", -1), k.columns[0].args.get("bent", ""),
-         "place" in k.columns[0].args): parameters_of(k, np.ones(len(k.columns)), np.ones(len(k.columns)))
+         "place" in k.columns[0].args): numbers_of(space.context, k, np.ones(1), np.eye(1))
         for k in library(space.context) if k.effect == "wrench_error" and len(k.columns) == 1
         and "time" not in k.columns[0].args
     }  # fmt: skip
@@ -139,7 +140,7 @@ def test_what_a_sensor_misreads_is_said_in_the_units_of_its_components(space: Wo
     assert (said[4, 4, "", False], said[-1, -1, "", False], said[3, 0, "", False]) == ("1", "1", "N m/N")
     assert (said[1, 1, "odd", False], said[5, 5, "even", False]) == ("1/N", "1/(N m)")
     ageing = next(k for k in library(space.context) if k.columns[0].args == {"component": -1, "time": "linear"})
-    assert parameters_of(ageing, np.ones(1), np.ones(1))["gain_per_hour"]["unit"] == "1/h"
+    assert numbers_of(space.context, ageing, np.ones(1), np.eye(1))["gain_per_hour"]["unit"] == "1/h"
 
 
 def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -> None:
@@ -189,7 +190,7 @@ def test_a_reflector_may_slide_away_from_its_seat(space: Workspace) -> None:
     after = np.flatnonzero(c.hours > since)
     assert (np.diff(course[after]) >= 0).all()
     assert course[after[-1]] == pytest.approx(1.0 - np.exp(-(c.hours[-1] - since) / slow))
-    assert "slides away" in sentence(one, np.array([1e-4, 0.0, 0.0]), 5e-5)
+    assert "slides away" in sentence(space.context, one, np.array([1e-4, 0.0, 0.0]), 5e-5)
 
 
 def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> None:

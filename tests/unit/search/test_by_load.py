@@ -8,7 +8,8 @@ import numpy as np
 
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
 from ppshw.diagnosis.library.by_load import FALLS_AT
-from ppshw.diagnosis.wording import finding, parameters_of
+from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
@@ -23,7 +24,7 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     found, tried = look(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
     assert [f.name[0] for f in found] == ["nonlinear_stiffness"]
     candidate = best_of(tried, found[0])
-    said = parameters_of(candidate, np.array([1e-9]), np.array([1e-10]))
+    said = numbers_of(space.context, candidate, np.array([1e-9]), np.diag(np.array([1e-10])))
     assert (said["compliance"]["unit"], said["knee_load"]["unit"]) == ("rad/(N m)", "N m")
     frame, component = candidate.columns[0].frame, candidate.columns[0].args["component"]
     at = space.context.wrenches[:, frame, component]
@@ -37,7 +38,7 @@ def test_a_gap_may_be_wider_on_one_side_and_says_by_how_much(space: Workspace) -
         side, either = (column.value(space.context) for column in candidate.columns)
         assert min((side > 0).mean(), (side < 0).mean()) > 0.03  # else the two are the same
         assert np.array_equal(either, np.abs(side))
-    said = parameters_of(candidate, np.array([2e-4, 5e-5]), np.array([1e-6, 1e-6]))
+    said = numbers_of(space.context, candidate, np.array([2e-4, 5e-5]), np.diag(np.array([1e-6, 1e-6])))
     assert [said[name]["value"] for name in ("half_gap", "half_difference")] == [2e-4, 5e-5]
     assert said["load_width"]["unit"] in ("N", "N m")
 
@@ -67,7 +68,7 @@ def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_
         found, tried = look(moved_by(space, column, 5.0), ["nonlinear_stiffness", "clearance"])
         assert [f.name[0] for f in found] == [effect]
         candidate = best_of(tried, found[0])
-        said = parameters_of(candidate, np.array([1e-4]), np.array([1e-5]))
+        said = numbers_of(space.context, candidate, np.array([1e-4]), np.diag(np.array([1e-5])))
         own = candidate.columns[0].args
         spread = float(space.context.wrenches[:, own["frame"], own["component"]].std())
         assert (said["load_width"]["value"], said["load_width"]["unit"]) == (own["width"] * spread, "N m")
@@ -161,11 +162,11 @@ def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -
     found, tried = look(moved_by(moved_by(space, fast, 6.0), slow, 6.0), ["creep", "nonlinear_stiffness"])
     assert found[0].name == ("creep", "longitudinal")
     candidate = best_of(tried, found[0])
-    said = parameters_of(candidate, np.array([1e-9, 2e-9]), np.array([1e-10, 1e-10]))
+    said = numbers_of(space.context, candidate, np.array([1e-9, 2e-9]), np.diag(np.array([1e-10, 1e-10])))
     assert [said[name]["value"] for name in ("tau_h", "slow_tau_h")] == [0.1, 0.8]
     assert (said["slow_compliance"]["value"], said["slow_compliance"]["unit"]) == (2e-9, "rad/(N m)")
     pushed = next(k for k in tried.candidates if k.effect == "creep" and k.component == "ty")
-    assert parameters_of(pushed, np.array([1e-9]), np.array([1e-10]))["compliance"]["unit"] == "m/N"
+    assert numbers_of(space.context, pushed, np.ones(1), np.eye(1))["compliance"]["unit"] == "m/N"
 
 
 def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
@@ -183,7 +184,7 @@ def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space:
     assert [f.name[0] for f in found] == ["creep"]
     candidate = best_of(tried, found[0])
     assert [column.args["form"] for column in candidate.columns] == ["total", "began"]
-    assert "compliance_at_first" in parameters_of(candidate, np.ones(2), np.ones(2))
+    assert "compliance_at_first" in numbers_of(space.context, candidate, np.ones(2), np.eye(2))
 
 
 def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_the_sensor(space: Workspace) -> None:
@@ -241,5 +242,5 @@ def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(sp
     moved *= 4e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     found, tried = look(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
     assert [f.name[0] for f in found] == ["wrench_error"]
-    said = parameters_of(best_of(tried, found[0]), np.ones(6), np.ones(6))
+    said = numbers_of(space.context, best_of(tried, found[0]), np.ones(6), np.eye(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}

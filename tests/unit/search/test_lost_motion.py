@@ -145,7 +145,7 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     slipping = moved_by(space, on_joint(space, "slipping", width=width), 3.0)
     found, tried = look(slipping, ["friction_hysteresis"], NAME)
     tried.names.append(("backlash", NAME))
-    lag = np.array([0.05 * width]), np.array([unsure * width]), 0.0
+    lag = np.array([0.05 * width]), np.array([[(unsure * width) ** 2]]), 0.0
     monkeypatch.setattr(weights, "coefficients", lambda *_: lag)
     found[0].weights = {found[0].name: 0.95}
     _soft_walls(space, tried, found[0])

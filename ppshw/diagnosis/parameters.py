@@ -1,0 +1,268 @@
+"""A finding's numbers under their names, with units and standard deviations: few, and such as a machine has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.jumps import ORDINALS
+from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.time_and_heat import clock
+
+Array = NDArray[np.float64]
+Entries = dict[str, dict[str, Any]]
+MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
+
+
+def numbers_of(
+    c: Context, candidate: Candidate, values: Array, covariance: Array, spread: Mapping[str, float] | None = None
+) -> Entries:
+    """Values (k,) of a candidate's k columns with their covariance (k, k), and its nonlinear parameters, under their
+    names, with units.
+
+    Functions that bend as they need have coefficients that mean nothing one by one: they are said as what they do, a
+    drift as how far it goes along and about each axis, a coupling as its height from peak to valley.
+
+    spread  standard deviations of the nonlinear parameters, as in `spread_of`
+    """
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if candidate.effect == "drift":
+        out = {f"change_{name}": entry for name, entry in drifts(c, candidate, values, covariance).items()}
+    elif candidate.effect == "cross_coupling":
+        height, its_std = _peak_to_valley(_courses(c, candidate.columns), values, covariance)
+        out = {"peak_to_valley": _entry(abs(height), its_std, _unit(candidate.component))}
+    elif candidate.effect == "wrench_error" and candidate.columns[0].args.get("time") == "cosine":
+        out = _wandering(c, candidate, values, covariance)
+    elif candidate.effect == "periodic_transmission":
+        return _wave(candidate, values, std, dict(spread or {}))
+    else:
+        out = _one_by_one(candidate, values, std)
+    for name, value in candidate.shape.items():
+        unit = _shape_unit(name, _unit(candidate.component), candidate.covariate)
+        out[name] = _entry(value, (spread or {}).get(name), unit)
+    return out
+
+
+def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
+    """Standard deviations of a candidate's nonlinear parameters about its own, over forms that differ in nothing else.
+
+    They stand on a grid, of which each point speaks for what is nearest to it; where the library has one value alone
+    there is none.
+
+    evidence  (C,) log evidence of all candidates
+    """
+    mine = tried.candidates[best]
+    if not mine.shape:
+        return {}
+    kin = np.array([j for j, other in enumerate(tried.candidates) if _differs_in_shape_alone(mine, other)])
+    said = evidence[kin] + tried.log_share[kin]
+    weights = np.exp(said - said.max())
+    weights /= weights.sum()
+    out = {}
+    for name, value in mine.shape.items():
+        grid = np.array([tried.candidates[j].shape[name] for j in kin])
+        points = np.unique(grid)
+        if len(points) > 1:
+            at = int(np.argmin(np.abs(points - value)))
+            below, above = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
+            cell = (above - below) / (2.0 if 0 < at < len(points) - 1 else 1.0)
+            out[name] = float(np.sqrt(weights @ (grid - value) ** 2 + cell**2 / 12.0))
+    return out
+
+
+def _differs_in_shape_alone(mine: Candidate, other: Candidate) -> bool:
+    return (
+        (mine.effect, mine.joint, mine.frame, mine.component, mine.covariate)
+        == (other.effect, other.joint, other.frame, other.component, other.covariate)
+        and mine.shape.keys() == other.shape.keys()
+        and [k.function for k in mine.columns] == [k.function for k in other.columns]
+        and [k.args.get("form") for k in mine.columns] == [k.args.get("form") for k in other.columns]
+    )
+
+
+def _entry(value: float, std: float | None, unit: str) -> dict[str, Any]:
+    return {"value": float(value), "std": None if std is None else float(std), "unit": unit}
+
+
+# --- what bends as it needs -----------------------------------------------------------------------------------------
+def drifts(c: Context, candidate: Candidate, values: Array, covariance: Array) -> Entries:
+    """How far the base goes along and about each of its axes: from one extreme to the later one."""
+    out: Entries = {}
+    for k in dict.fromkeys(column.component for column in candidate.columns):
+        mine = [j for j, column in enumerate(candidate.columns) if column.component == k]
+        courses = _courses(c, [candidate.columns[j] for j in mine])
+        change, std = _peak_to_valley(courses, values[mine], covariance[np.ix_(mine, mine)])
+        out[COMPONENTS[k]] = _entry(change, std, _unit(COMPONENTS[k]))
+    return out
+
+
+def _wandering(c: Context, candidate: Candidate, values: Array, covariance: Array) -> Entries:
+    """How far the zero of each of a sensor's channels goes, from one extreme to the later one."""
+    out: Entries = {}
+    for k in dict.fromkeys(column.args["component"] for column in candidate.columns):
+        mine = [j for j, column in enumerate(candidate.columns) if column.args["component"] == k]
+        waves = np.stack([clock(c, "cosine", candidate.columns[j].args["tau"]) for j in mine], axis=1)
+        change, std = _peak_to_valley(waves, values[mine], covariance[np.ix_(mine, mine)])
+        name = WRENCH_COMPONENTS[k]
+        out[f"{name}_zero_change"] = _entry(change, std, _load_unit(name))
+    return out
+
+
+def _courses(c: Context, columns: Sequence[Column]) -> Array:
+    """(N, k) the functions of k columns on a frame."""
+    return np.stack([column.value(c) for column in columns], axis=1)
+
+
+def _peak_to_valley(courses: Array, values: Array, covariance: Array) -> tuple[float, float]:
+    """The later extreme less the earlier one of what k functions (N, k) make together, and its standard deviation."""
+    course = courses @ values
+    first, last = sorted((int(np.argmin(course)), int(np.argmax(course))))
+    apart = courses[last] - courses[first]
+    return float(apart @ values), float(np.sqrt(max(apart @ covariance @ apart, 0.0)))
+
+
+# --- what is said one by one ----------------------------------------------------------------------------------------
+def _wave(candidate: Candidate, values: Array, std: Array, spread: dict[str, float]) -> Entries:
+    unit = _unit(candidate.component)
+    amplitude = float(np.hypot(values[0], values[1]))
+    its_std = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
+    return {
+        "amplitude": _entry(amplitude, its_std, unit),
+        "phase": _entry(np.arctan2(values[1], values[0]), its_std / max(amplitude, 1e-30), "rad"),
+        "period": _entry(candidate.shape["period"], spread.get("period"), unit),
+    }
+
+
+def _unit(component: str | None) -> str:
+    return "m" if (component or "").startswith("t") else "rad" if (component or "").startswith("r") else "1"
+
+
+def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
+    unit = _unit(candidate.component)
+    names = [f"c{k + 1}" for k in range(len(values))]
+    factors = np.ones(len(values))
+    units = [unit] * len(values)
+    if candidate.effect == "backlash":
+        names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
+        names[1:] = ["drag", "wear"][: len(names) - 1]
+        if rocks(candidate):
+            across = COMPONENTS[candidate.columns[-1].component]
+            names[1], factors[1], units[1] = f"rocking_{across}", -2.0, "m" if across.startswith("t") else "rad"
+        if "pressed" in candidate.columns[-1].args:
+            names[1], factors[1] = MORE_BY_LOAD, -2.0
+    elif candidate.effect == "tracker_scale":
+        grows = ["place" in column.args for column in candidate.columns]
+        moves = [column.on == "frame" for column in candidate.columns]
+        axes = iter("xyz")
+        names = [f"shift_{next(axes)}" if m else "scale_per_K" if g else "scale"
+                 for m, g in zip(moves, grows, strict=True)]  # fmt: skip
+        units = ["m/K" if m else "1/K" if g else "1" for m, g in zip(moves, grows, strict=True)]
+    elif candidate.effect == "thermal_growth" and len(values) == len(COMPONENTS):
+        names = [f"{component}_per_kelvin" for component in COMPONENTS]
+        units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]
+    elif candidate.effect == "thermal_growth":
+        names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
+        units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
+    elif candidate.effect == "friction_hysteresis":
+        names = ["lag", MORE_BY_LOAD][: len(values)]
+    elif candidate.effect == "zero_shift":
+        back = candidate.columns[-1].function == "settling"
+        names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
+    elif candidate.effect == "target_moved":
+        whens = ORDINALS[: len(values) // 3]
+        names, units = [f"{word}d{axis}" for word in whens for axis in "xyz"], ["m"] * len(values)
+    elif candidate.effect == "moving_weight":
+        names, units = _weight(candidate, unit)
+    elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
+        names = ["half_slack"]
+    elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
+        names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
+        units = [_per_load(unit, candidate.covariate)] * len(values)
+    elif candidate.effect == "wrench_error":
+        names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
+        units = [_misread(column.args) for column in candidate.columns]
+    elif candidate.effect == "clearance":
+        names = ["half_gap", "half_difference"][: len(values)]
+    elif candidate.effect == "creep" and len(values) == len(COMPONENTS):
+        load = WRENCH_COMPONENTS[candidate.columns[0].args["component"]]
+        names = [f"compliance_{component}" for component in COMPONENTS]
+        units = [_per_load("m" if component.startswith("t") else "rad", load) for component in COMPONENTS]
+    elif candidate.effect == "creep":
+        load = WRENCH_COMPONENTS[candidate.columns[0].component]
+        name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
+        second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
+        names, units = [name, second][: len(values)], [of] * len(values)
+    return {
+        name: _entry(v * f, s * abs(f), u) for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
+    }
+
+
+def rocks(candidate: Candidate) -> str:
+    """About which axis a carriage rocks as it turns back, for the sentence; empty where it does not."""
+    across = [column.component for column in candidate.columns if COMPONENTS[column.component] != candidate.component]
+    return f" and rocks ({COMPONENTS[across[0]]})" if across else ""
+
+
+def _misread_name(args: Mapping[str, Any], again: bool) -> str:
+    """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
+    temperature."""
+    of, source = args["component"], args.get("source", -1)
+    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
+    hourly = "_per_hour" * (args.get("time") == "linear")
+    if of < 0:
+        return "gain" + (kelvin or hourly)
+    name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
+    if args.get("bent"):
+        return f"{name}_{args['bent']}"
+    if args.get("time") == "step":
+        return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
+    return name + (kelvin or "_zero" * (source < 0) + hourly)
+
+
+def _misread(args: Mapping[str, Any]) -> str:
+    """Unit of what a force sensor reads too little: a load, per hour or kelvin; a share of a reading, per load where it
+    grows with it."""
+    of, source = args["component"], args.get("source", -1)
+    if "place" in args and (of < 0 or source == of):
+        return "1/K"
+    if of < 0:
+        return "1/h" if args.get("time") == "linear" else "1"
+    unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
+    if source < 0:
+        return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit
+    if args.get("bent"):
+        return _per_load("1", WRENCH_COMPONENTS[source])
+    return "1" if unit == by else _per_load(unit, WRENCH_COMPONENTS[source])
+
+
+def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
+    if candidate.columns[0].function != "body_weight":
+        return ["compliance"], [f"{unit}/(N m)"]
+    names, units = [], []
+    for args in (column.args for column in candidate.columns):
+        mass, grows = args["what"] == "mass", args.get("grows", 0)
+        name = "mass" if mass else f"shifted_mass_{args['what']}"
+        names.append(name + ("", "_with_travel", "_with_travel_squared")[grows])
+        units.append("kg" if mass else "kg m")
+    return names, units
+
+
+def _shape_unit(name: str, unit: str, covariate: str) -> str:
+    if name.endswith(("load_width", "knee_load")):
+        return _load_unit(covariate)
+    return "h" if name.endswith("_h") else unit if name in ("width", "past") else "1"
+
+
+def _load_unit(covariate: str) -> str:
+    return "N" if covariate.startswith("F") else "N m"
+
+
+def _per_load(unit: str, covariate: str) -> str:
+    return f"{unit}/N" if covariate.startswith("F") else f"{unit}/(N m)"

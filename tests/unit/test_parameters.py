@@ -1,0 +1,121 @@
+"""The numbers of a finding: what a metrologist would call it by, as far as it goes, and how surely."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.parameters import numbers_of, spread_of
+from ppshw.diagnosis.wording import sentence
+from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.terms.shapes import Column
+from tests.unit.clean_case import clean_case
+
+
+@pytest.fixture(scope="module")
+def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    machine, recording = clean_case(60541, "pps", 160, 160, tmp_path_factory.mktemp("clean"))
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool))
+
+
+def test_a_drift_is_said_as_how_far_it_goes_each_way(space: Workspace) -> None:
+    c = space.context
+    wanders = next(k for k in library(c) if k.effect == "drift" and len(k.columns) == 12
+                   and k.columns[0].args["form"] == "cosine")  # fmt: skip
+    values = np.zeros(12)
+    values[:4] = [5e-5, 0.0, 1e-5, 0.0]  # tx: half a wave and a whole one and a half over the time
+    values[9] = -2e-5  # tz: one whole wave, so there and back
+    x = c.hours / c.hours[-1]
+    along_x = 5e-5 * np.cos(np.pi * x) + 1e-5 * np.cos(3 * np.pi * x)
+    covariance = np.diag(np.linspace(1e-6, 2e-6, 12) ** 2)
+    said = numbers_of(c, wanders, values, covariance)
+    assert list(said) == ["change_tx", "change_ty", "change_tz"]
+    assert said["change_tx"]["value"] == pytest.approx(along_x[-1] - along_x[0], rel=1e-9)
+    assert said["change_tx"]["unit"] == "m"
+    # of the first and the last visit only waves of odd order differ, by two each
+    of_odd = 2 * np.sqrt(covariance[0, 0] + covariance[2, 2])
+    assert said["change_tx"]["std"] == pytest.approx(of_odd, rel=1e-6)
+    assert said["change_ty"]["value"] == 0.0
+    assert abs(said["change_tz"]["value"]) == pytest.approx(4e-5, rel=1e-3)
+    assert "moves slowly with time, by 0.120 mm along x, as if" in sentence(c, wanders, values, 1e-4)
+
+
+def test_a_drift_that_shifts_and_turns_says_both(space: Workspace) -> None:
+    settles = next(
+        k for k in library(space.context)
+        if k.effect == "drift" and len(k.columns) == 6 and k.columns[0].args["form"] == "exponential"
+    )  # fmt: skip
+    values = np.array([0.0, 1e-4, 2e-5, 0.0, 0.0, -3e-5])
+    said = numbers_of(space.context, settles, values, np.eye(6))
+    assert list(said) == [f"change_{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz")] + ["tau_h"]
+    assert said["change_rz"]["unit"] == "rad"
+    assert said["change_rz"]["value"] < 0 < said["change_ty"]["value"]
+    told = sentence(space.context, settles, values, 1e-4)
+    assert " mm along y and by 0.030 mrad about z, as if" in told
+
+
+def test_a_coupling_is_said_as_its_height_whatever_functions_make_it(space: Workspace) -> None:
+    c = space.context
+    couplings = [k for k in library(c) if k.effect == "cross_coupling" and k.joint == "lateral"]
+    for size in (1, 36):
+        coupling = next(k for k in couplings if len(k.columns) == size and k.covariate == "q_vertical")
+        values = np.zeros(size)
+        values[0] = 1e-4
+        course = 1e-4 * coupling.columns[0].value(c)
+        said = numbers_of(c, coupling, values, 1e-12 * np.eye(size))
+        assert list(said) == ["peak_to_valley"]
+        assert said["peak_to_valley"]["value"] == pytest.approx(np.ptp(course), rel=1e-12)
+        assert said["peak_to_valley"]["std"] > 0
+        unit = "mm" if str(coupling.component).startswith("t") else "mrad"
+        told = sentence(c, coupling, values, 1e-4)
+        assert f"as well, by {np.ptp(course) * 1e3:.3f} {unit} from peak to valley (" in told
+
+
+def test_a_zero_that_wanders_is_said_as_how_far_it_goes_in_newtons(space: Workspace) -> None:
+    wanders = next(
+        k for k in library(space.context)
+        if k.effect == "wrench_error" and len(k.columns) == 4 and k.columns[0].args.get("time") == "cosine"
+        and k.columns[0].args["component"] == 1
+    )  # fmt: skip
+    said = numbers_of(space.context, wanders, np.array([3.0, 0.0, 0.0, 0.0]), np.eye(4))
+    assert list(said) == ["Fy_zero_change"]
+    assert (said["Fy_zero_change"]["value"], said["Fy_zero_change"]["unit"]) == (pytest.approx(-6.0), "N")
+
+
+def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
+    straight = [k for k in library(space.context) if k.effect == "drift" and k.columns[0].args["form"] == "linear"]
+    assert straight
+    assert all("tau_h" not in k.shape for k in straight)
+
+
+def test_a_period_comes_with_how_surely_it_is_known(space: Workspace) -> None:
+    """The louder a wave, the surer its period, down to the grid it is sought on; the truth is within it."""
+    joint = space.machine.joint_names.index("lateral")
+    period = float(np.ptp(space.recording.q[:, joint])) / 10.37
+    pair = [
+        Column("frame", "wave", {"joint": joint, "period": period, "phase": p}, joint + 1, 0) for p in ("sin", "cos")
+    ]
+    field = pair[0].evaluate(space.context) + pair[1].evaluate(space.context)
+    field *= space.unit / np.sqrt((field**2).sum() / space.recording.seen.sum())
+    said = {}
+    for size in (1.0, 5.0):
+        loud = replace(space, data=space.data + size * field)
+        candidates = [k for k in library(loud.context) if k.effect == "periodic_transmission" and k.joint == "lateral"]
+        tried = Tried(loud, candidates, loud.unit)
+        evidence = tried.said()[0]
+        best = tried.strongest(evidence, 0)
+        said[size] = spread_of(tried, best, evidence)["period"]
+        assert abs(candidates[best].shape["period"] - period) < 3 * said[size]
+    assert 0 < said[5.0] <= said[1.0]
+    assert said[1.0] < 0.1 * period
+
+
+def test_what_the_library_has_one_value_of_has_no_spread(space: Workspace) -> None:
+    one = Candidate("zero_shift", "lateral", "lateral", "tx", "time",
+                    (Column("frame", "step", {"visit_time": 1.0}, 1, 0),), {"time_h": 1.0})  # fmt: skip
+    tried = Tried(space, [one], space.unit)
+    assert spread_of(tried, 0, tried.said()[0]) == {}
