@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import Mistake, column_mistakes
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.found import Found, by_its_own_form
 from ppshw.diagnosis.gross import (
     GrossErrors,
     Scatter,
@@ -89,11 +89,11 @@ def diagnose(
     del calmed
     tell(2, 10)
     # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
-    tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
+    tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     if calming is not None and not found:
         del tried
         space = prepare(machine, recording, believed, space.base, calming, gross.at_a_place)
-        tried, found = _look(space, without, seed, [], lambda k: tell(2 + k, 10))
+        tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
         # more; and a third time where visits come back that only looked wrong
@@ -101,7 +101,7 @@ def diagnose(
         still = still_gross(space, gross, max(riddles, default=0.0))
         if not found or (again and still.visits == gross.visits):
             break
-        calming, gross = _calming(space, without, seed), still
+        calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
         believed = everything.copy()
         believed[list(gross.visits)] = False
         base = estimate(joint_model(machine, recording), _without(space).subset(believed))
@@ -109,7 +109,7 @@ def diagnose(
         space = prepare(machine, recording, believed, base, calming, gross.at_a_place)
         before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
         del tried  # its columns are most of the memory: the next look lays its own
-        tried, found = _look(space, without, seed, before, lambda k: tell(6 + k, 10))
+        tried, found = _look(space, without, seed, before, lost, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
     unnamed = "unsettled" in without
@@ -127,15 +127,17 @@ def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | No
 
 
 def _look(
-    space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], tell: Callable[[int], None]
-) -> tuple[Tried, list[Found]]:
-    """before: what an earlier look found, whose moments, periods and bands of waves are tried more finely."""
+    space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], lost: Mapping[str, float],
+    tell: Callable[[int], None],
+) -> tuple[Tried, list[Found]]:  # fmt: skip
+    """before: what an earlier look found, whose moments, periods and bands of waves are tried more finely; lost: what
+    joints lose by it."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
     jumps = [] if "zero_shift" in without else jumps_of_zeros(space)
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
-    candidates = library(space.context, without, moments, periods, bands, jumps, knocks) + nameless(space.context)
+    candidates = library(space.context, without, moments, periods, bands, jumps, knocks, lost) + nameless(space.context)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.unit, without)
@@ -143,6 +145,15 @@ def _look(
     found = search(space, tried, np.random.default_rng(seed))
     tell(4)
     return tried, found
+
+
+def _lost(space: Workspace, tried: Tried, found: list[Found]) -> dict[str, float]:
+    """What joints lose when they turn back, along or about their own axes [m or rad]."""
+    out = {}
+    for f in found:
+        if f.name[0] in ("backlash", "friction_hysteresis"):
+            out[str(f.name[1])] = 2.0 * abs(float(by_its_own_form(space, tried.candidates[f.best], f)[0][0]))
+    return out
 
 
 def _as_believed(space: Workspace, base: Estimate, believed: Mask) -> Estimate:

@@ -57,11 +57,11 @@ def of_its_kind(
         case "target_moved":
             return over == {named.covariate}
         case "creep":
-            return any(name.startswith("late_") and "_on_" in name for name in over) and rival.frame == named.frame
+            return any(name.startswith("late_") and "_on_" in name for name in over)
         case "nonlinear_stiffness" if both_of_a_load:
             return _of_its_load(named, rival)
         case "clearance":
-            held = here and all(column.function == "load_side_held" for column in rival.columns)
+            held = all(column.function == "load_side_held" for column in rival.columns)
             return held or (both_of_a_load and _of_its_load(named, rival))
         case "nonlinear_stiffness":
             return _of_its_load(named, rival) and all(column.function in SMOOTH for column in rival.columns)

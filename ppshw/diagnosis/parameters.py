@@ -41,11 +41,11 @@ def numbers_of(
     elif candidate.effect == "wrench_error" and candidate.columns[0].args.get("time") == "cosine":
         out = _wandering(c, candidate, values, covariance)
     elif candidate.effect == "periodic_transmission":
-        return _wave(candidate, values, std, dict(spread or {}))
+        out = _wave(candidate, values, std)
     else:
         out = _one_by_one(candidate, values, std)
     for name, value in candidate.shape.items():
-        unit = _shape_unit(name, _unit(candidate.component), candidate.covariate)
+        unit = _shape_unit(c, name, candidate)
         out[name] = _entry(value, (spread or {}).get(name), unit)
     return out
 
@@ -129,14 +129,13 @@ def _peak_to_valley(courses: Array, values: Array, covariance: Array) -> tuple[f
 
 
 # --- what is said one by one ----------------------------------------------------------------------------------------
-def _wave(candidate: Candidate, values: Array, std: Array, spread: dict[str, float]) -> Entries:
+def _wave(candidate: Candidate, values: Array, std: Array) -> Entries:
     unit = _unit(candidate.component)
     amplitude = float(np.hypot(values[0], values[1]))
     its_std = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
     return {
         "amplitude": _entry(amplitude, its_std, unit),
         "phase": _entry(np.arctan2(values[1], values[0]), its_std / max(amplitude, 1e-30), "rad"),
-        "period": _entry(candidate.shape["period"], spread.get("period"), unit),
     }
 
 
@@ -254,10 +253,12 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
     return names, units
 
 
-def _shape_unit(name: str, unit: str, covariate: str) -> str:
+def _shape_unit(c: Context, name: str, candidate: Candidate) -> str:
     if name.endswith(("load_width", "knee_load")):
-        return _load_unit(covariate)
-    return "h" if name.endswith("_h") else unit if name in ("width", "past") else "1"
+        return _load_unit(candidate.covariate)
+    if name in ("width", "past", "period"):  # of the joint's own way, whichever component errs
+        return "m" if c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].prismatic else "rad"
+    return "h" if name.endswith("_h") else "1"
 
 
 def _load_unit(covariate: str) -> str:

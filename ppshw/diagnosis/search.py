@@ -54,7 +54,8 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
     named = any(f.name[0] != "nameless" for f in found)
     several = len(found) > 1 or any(f.more or len(tried.candidates[f.best].columns) >= FREE for f in found)
     if named and several:
-        best, chosen = explained(space, tried, found), None
+        best = before = explained(space, tried, found)
+        chosen = None
         for start in starts:
             if tried.name(start[0]) in [f.name for f in found]:
                 continue
@@ -62,19 +63,26 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
             # its name was compared with the others already, where no two effects act or the others are the same
             if len(found) == len(instead) == 1 or _same_but_for_a_load(tried, found, instead):
                 continue
-            total = explained(space, tried, instead)
-            if len(instead) <= len(found) - FEWER:
-                total += against_riddles(instead)
-            total -= EACH_MORE * max(0, _effects(instead) - _effects(found))
+            total = _worth(space, tried, instead, found)
             if total > best + ANOTHER_START:
                 best, chosen = total, start
-        if chosen is not None:  # whose first finding may be too quiet by itself beside what the null makes of all of it
-            found = _greedy(space, tried, chosen, rng) or found
+        if chosen is not None:  # what stands out from the null may be less of it, or nothing
+            instead = _greedy(space, tried, chosen, rng)
+            if instead and _worth(space, tried, instead, found) > before + ANOTHER_START:
+                found = instead
         take_up(space, tried, found)
     give_up(space, tried, found)
     drop_what_riddles_leave(space, tried, found)
     weigh(space, tried, found)
     return found
+
+
+def _worth(space: Workspace, tried: Tried, instead: list[Found], found: Sequence[Found]) -> float:
+    """Log evidence of a set of findings, which is taken up, beside another that the search had before."""
+    total = explained(space, tried, instead)
+    if len(instead) <= len(found) - FEWER:
+        total += against_riddles(instead)
+    return total - EACH_MORE * max(0, _effects(instead) - _effects(found))
 
 
 def _same_but_for_a_load(tried: Tried, found: Sequence[Found], instead: Sequence[Found]) -> bool:

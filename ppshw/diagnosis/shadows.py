@@ -8,8 +8,9 @@ import numpy as np
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found
-from ppshw.diagnosis.kinship import never_turned
+from ppshw.diagnosis.kinship import never_turned, of_its_kind
 from ppshw.diagnosis.library import LOADS, Candidate
+from ppshw.diagnosis.library.sampled import within
 from ppshw.machine import WRENCH_COMPONENTS
 
 # Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
@@ -27,6 +28,7 @@ AT_ONCE = 0.02  # of the recording's duration: moments that are one
 def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> Found | None:
     """The finding whose shadow a candidate is, if it is one."""
     candidate = tried.candidates[best]
+    parallel, inside = never_turned(tried.space.machine), within(tried.space.machine)
     for f in found:
         other = tried.candidates[f.best]
         if candidate.effect == other.effect == "target_moved" and candidate.covariate == other.covariate:
@@ -47,10 +49,13 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         # what a base that wanders leaves may by chance go with a temperature
         wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
-        by_rail = other.effect == "drift" and candidate.frame in never_turned(tried.space.machine)
+        by_rail = other.effect == "drift" and candidate.frame in parallel
         slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
+        more = candidate.effect == "nameless" and of_its_kind(other, candidate, parallel, inside)
+        if more and same_place(candidate, other) and evidence < SAME_EFFECT * f.first:
+            return f  # more of the same, by what the name means
         if (same_joint or by_load or same_cause or riddle or wanders) and evidence < least:
             return f
         if slowly and evidence < ANYWHERE * least:

@@ -50,6 +50,17 @@ def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(
     assert not of_its_kind(named, stranger)
 
 
+def test_sides_that_a_load_holds_are_clearance_and_a_load_that_lags_is_creep_at_whichever_joint() -> None:
+    """Joints whose axes are parallel carry nearly the same moment: which of them it is the name's own forms say."""
+    clearance = _named("clearance", "wrist", "wrist", "rz", "Mz")
+    over = ("on_elbow_My", "previous_on_elbow_My")
+    assert of_its_kind(clearance, _rival("elbow", "ry", *over, function="load_side_held"))
+    assert not of_its_kind(clearance, _rival("elbow", "ry", *over))
+    creep = _named("creep", "wrist", "wrist", "rz", "since_load_change")
+    assert of_its_kind(creep, _rival("elbow", "ry", "on_elbow_My", "late_0.4_on_elbow_My"))
+    assert not of_its_kind(creep, _rival("elbow", "ry", "late_0.4_temp_air_C"))
+
+
 def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> None:
     named = _named("zero_shift", "vertical", "vertical", "ty", "time")
     rails = ("lateral", "vertical")

@@ -17,7 +17,8 @@ Grids of nonlinear parameters are part of the candidates: the evidence averages 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from ppshw.diagnosis.library.by_heat_and_time import drift, thermal
 from ppshw.diagnosis.library.by_instrument import force_sensor, force_sensor_jumps, tracker_scale
@@ -38,6 +39,7 @@ NAMES = (
     "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
     "missing_compliance", "target_moved", "unsettled",
 )  # fmt: skip
+NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 LOADS = frozenset({  # effects that loads make
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
 })  # fmt: skip
@@ -47,7 +49,7 @@ LOADS = frozenset({  # effects that loads make
 def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
-    jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (),
+    jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (), lost: Mapping[str, float] = NOTHING_KNOWN,
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -58,12 +60,13 @@ def library(
     bands    of waves without a name that seem to be there across a joint's own direction: one of them may be all of it
     jumps    moments of several jumps of a joint's zero that the recording speaks for most
     knocks   the same of reflectors
+    lost     what joints lose when they turn back [m or rad], as far as it is known: how fast play can be taken up
     """
     makers = (
-        backlash, friction, thermal, tracker_scale, nonlinear, clearance, coupling, moving_weight,
-        force_sensor, creeping, creeping_from_nothing, missing_compliance,
+        thermal, tracker_scale, nonlinear, clearance, coupling, moving_weight, force_sensor, creeping,
+        creeping_from_nothing, missing_compliance,
     )  # fmt: skip
-    found = [k for make in makers for k in make(c)]
+    found = [*backlash(c, lost), *friction(c, lost), *(k for make in makers for k in make(c))]
     found += [k for make in (drift, force_sensor_jumps) for k in make(c, moments_about(c, moments))]
     found += moved_reflector(c, moments_about(c, moments), knocks)
     found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,19 +20,23 @@ Array = NDArray[np.float64]
 # more than SOFTEST times what a joint can have lost, that much winds up (a ninth author's friction of 0.6 to 5 %).
 WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
 SOFT_WALLS = np.array([0.002, 0.005, 0.01])
+# Once it is known what a joint loses, walls give way by two to eight gaps (sealed cases), and what takes fifteen or a
+# hundred times that is friction (a fourteenth author's 14585 and 14576).
 SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file has none [m]; share of winding up so fast
+SOFTEST_KNOWN = 12.0
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
 
 
-def backlash(c: Context) -> Iterator[Candidate]:
+def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
+    """lost: what joints lose, as far as it is known, along or about their own axes [m or rad]"""
     for k, name in moving_joints(c):
         if not came_from_both_sides(c, k):
             continue
         own = own_component(c, k)  # what pulls sideways alone, a cable, is no lost motion
         where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
         for width, column in _taken_up(c, k, SOFT_WALLS):
-            if not winds_up(c, k, width):
+            if not winds_up(c, k, width, lost.get(name)):
                 yield Candidate(*where, (column,), {"width": width}, 0.05)
         sign = Column("frame", "approach", {"joint": k}, k + 1, own)
         drag = Column("frame", "approach_q", {"joint": k}, k + 1, own)
@@ -48,14 +52,14 @@ def backlash(c: Context) -> Iterator[Candidate]:
                 yield Candidate(*where, (sign, rocks), share=0.02)
 
 
-def friction(c: Context) -> Iterator[Candidate]:
+def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
         # of a joint that comes from one side alone lost motion of any kind is friction
         parts = WINDS_UP if came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
         if came_from_both_sides(c, k):
             for width, column in _taken_up(c, k, SOFT_WALLS):
-                if winds_up(c, k, width):
+                if winds_up(c, k, width, lost.get(name)):
                     yield Candidate(*where, (column,), {"width": width}, BRIEFLY)
         for width, column in _taken_up(c, k, parts):
             for lag, shape, share in _went_past(c, k, column):
@@ -65,10 +69,13 @@ def friction(c: Context) -> Iterator[Candidate]:
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
 
 
-def winds_up(c: Context, k: int, way: float) -> bool:
+def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool:
     """Whether what a joint lost and takes up over such a way is friction that winds it up: longer than soft walls are
-    for any play that the recording may show (three repeatabilities at the reflectors)."""
+    for what it is known to lose, or for any play that the recording may show (three repeatabilities at the
+    reflectors)."""
     travel = float(np.ptp(c.recording.q[:, k]))
+    if known is not None:
+        return bool(way > max(SOFTEST_KNOWN * known, SOFT_WALLS[0] * travel) * (1 + 1e-9))
     moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
     lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
     lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)

@@ -4,7 +4,7 @@
     by_columns.py         any function of a column or two
     by_time.py            rhythms, changes at a moment
     by_motion.py          seats, the side that a joint came from, its own work
-    by_position.py        finer functions of positions, of one to three joints
+    by_position.py        finer functions of positions, of one to three joints; dents
     by_load.py            loads on a frame, what the force sensor read, what pulls
     at_the_reflectors.py  reflectors, the instrument, the air between
 
@@ -26,7 +26,7 @@ from ppshw.diagnosis.nameless.by_columns import (
 )
 from ppshw.diagnosis.nameless.by_load import of_what_was_read, pulls, under_load
 from ppshw.diagnosis.nameless.by_motion import own_heat, random_seats, reversals
-from ppshw.diagnosis.nameless.by_position import finely, of_three_positions, of_two_positions
+from ppshw.diagnosis.nameless.by_position import dents, finely, of_three_positions, of_two_positions
 from ppshw.diagnosis.nameless.by_time import at_a_moment, rhythms
 from ppshw.terms.shapes import Context
 
@@ -39,7 +39,7 @@ def nameless(c: Context) -> list[Candidate]:
     to one."""
     makers = (
         of_one_column, along_a_joint, base_in_all_directions, at_a_moment, rhythms, random_seats, reversals,
-        under_load, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns, finely,
+        under_load, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns, finely, dents,
         of_two_positions, of_three_positions, at_the_reflectors,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]

@@ -15,6 +15,7 @@ from ppshw.terms.shapes import Column, Context
 
 OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
 IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
+DENTS = (0.05, 0.1)  # widths relative to half the travel
 
 
 def finely(c: Context) -> Iterator[Candidate]:
@@ -28,6 +29,16 @@ def finely(c: Context) -> Iterator[Candidate]:
                 for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
             ]  # fmt: skip
             yield rival(c, k + 1, comp, (f"q_{name}",), waves)
+
+
+def dents(c: Context) -> Iterator[Candidate]:
+    """At one place of the travel alone: a track that was hit, a tooth, an entry of a table."""
+    for (k, name), comp, width in itertools.product(moving_joints(c), range(6), DENTS):
+        for at in np.arange(-1.0 + width, 1.0, 1.5 * width):
+            yield rival(c, k + 1, comp, (f"q_{name}",), [
+                Column("frame", "dent", {"joint": k, "at": float(at), "width": width, "order": j}, k + 1, comp)
+                for j in range(3)
+            ])  # fmt: skip
 
 
 def of_two_positions(c: Context) -> Iterator[Candidate]:

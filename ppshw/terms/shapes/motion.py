@@ -78,6 +78,15 @@ def wave_q(c: Context, joint: int, period: float, phase: str, by: int) -> Array:
     return wave(c, joint, period, phase) * c.u(by)
 
 
+def dent(c: Context, joint: int, at: float, width: float, order: int) -> Array:
+    """At one place of a joint's travel alone: a bell about `at` of this width, both for a travel of −1 … 1.
+
+    order  1: down before the place and up behind it; 2: down at it and up on both sides
+    """
+    x = (c.u(joint) - at) / width
+    return np.asarray(np.exp(-0.5 * x**2) * (1.0, x, x**2 - 1.0)[order])
+
+
 def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
     """Legendre polynomials of two joints, multiplied."""
     return c.legendre(a, power_a) * c.legendre(b, power_b)

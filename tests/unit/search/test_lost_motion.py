@@ -152,6 +152,19 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     assert (("backlash", NAME) in found[0].weights) == may_be
 
 
+def test_what_is_known_to_be_lost_says_what_walls_may_give_way_by(space: Workspace) -> None:
+    """A hundred times what it loses is friction that winds up, however short a part of the travel that is."""
+    within = 0.01 * travel_of(space)
+
+    def called(lost: float) -> set[str]:
+        known = library(space.context, lost={NAME: lost})
+        return {k.effect for k in known if k.joint == NAME and k.shape.get("width") == pytest.approx(within)}
+
+    assert called(within / 100) == {"friction_hysteresis"}
+    assert called(within / 15) == {"friction_hysteresis"}
+    assert called(within / 8) == {"backlash"}
+
+
 def test_what_pulls_sideways_with_the_approach_is_no_lost_motion(space: Workspace) -> None:
     """A cable: the joint itself is where its encoder says."""
     k = space.machine.joint_names.index("vertical")

@@ -37,6 +37,23 @@ def test_a_screw_s_wave_without_its_name_is_unexplained_over_its_joint(space: Wo
     assert 0.8e-4 < found[0].size < 1.2e-4
 
 
+@pytest.mark.parametrize(("width", "about", "size"), [(0.06, -0.3, 3e-4), (0.1, 0.1, 3e-4), (0.06, 0.1, 1e-3)])
+def test_a_dent_is_no_period_however_many_waves_make_it(
+    space: Workspace, width: float, about: float, size: float
+) -> None:
+    """Up, and down beside it; two or three waves of nearly the same period stood for it."""
+    joint = space.machine.joint_names.index("longitudinal")
+    q = space.recording.q[:, joint]
+    u = (q - q.mean()) / (0.5 * np.ptp(q))
+    dent = np.exp(-0.5 * ((u - about) / width) ** 2) - 0.7 * np.exp(-0.5 * ((u - about - 2.5 * width) / width) ** 2)
+    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * dent[:, None]
+    moved *= size / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert {f.name for f in found} == {("nameless", None)}
+    assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
+
+
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
     """Wherever it turns, with the column that it depends on and at its own place."""
     bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
