@@ -14,8 +14,8 @@ from ppshw.diagnosis.workspace import Workspace
 
 # Weights of names are tempered: forms of real machines differ from the library's by a share of what they explain, so
 # evidence overstates, the more of it there is: E counts as E / (1 + max E / TEMPER). 100 to 300 made the true names of
-# 48 findings in sealed cases likeliest (seeds 60700 to 60716, 62000 to 62023, 62800 to 62811); with 150 weights of 0.5 to
-# 0.7 were right in 19 of 21.
+# 48 findings in sealed cases likeliest (seeds 60700 to 60716, 62000 to 62023, 62800 to 62811); with 150 weights of 0.5
+# to 0.7 were right in 19 of 21.
 TEMPER = 300.0
 # However much a name is ahead of all others, what acts may be something that looks like it and has no name here: of 56
 # names that were given more than 0.95 in a deck of sealed cases (seed 9) six were wrong.

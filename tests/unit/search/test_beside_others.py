@@ -84,6 +84,22 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
 
 
+@pytest.mark.parametrize(("own", "stands"), [(94.9, False), (95.1, True)])
+def test_a_slow_column_is_a_clock_and_costs_a_drift_its_name_only_where_it_says_more(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, stands: bool
+) -> None:
+    riddles = [k for k in named(space, "nameless") if k.frame == "base" and k.covariates == ("cov_pressure",)]
+    some = [k for k in named(space, "drift") if len(k.columns) == 6][:1] + riddles
+    assert riddles
+    tried = Tried(space, some, 5e-5)
+    evidence = np.full(len(some), 100.0) - math.log(np.exp(tried.log_share[1:]).sum())
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (own, 0.0, evidence))
+    found = [Found(0, ("drift", None), 0.0, 160.0, first=160.0)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == ["drift" if stands else "nameless"]
+
+
 @pytest.mark.parametrize(
     ("effect", "own", "stands"),
     [("zero_shift", 14.0, False), ("zero_shift", 15.0, True), ("creep", 24.0, False), ("creep", 26.0, True)],
