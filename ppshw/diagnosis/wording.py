@@ -144,10 +144,11 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"drive ({size}).",
         "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
         f"{amount}: friction before sliding ({size}).",
-        "thermal_growth": f"{joint} moves with {candidate.covariate}: its link grows or bends with heat ({size}).",
+        "thermal_growth": f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows "
+        f"or bends with heat ({size}).",
         "drift": f"everything moves slowly with time, {_far(c, candidate, values)}as if the base or the tracker did "
         f"({size}).",
-        "tracker_scale": f"all distances from the tracker are wrong by a factor ({size}).",
+        "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(candidate, values)} ({size}).",
         "periodic_transmission": f"{joint} is off by a wave of period {candidate.shape.get('period', 0):.5g} along its "
         f"own travel: a screw, a gear or an encoder ({size}).",
         "nonlinear_stiffness": f"{joint} does not give way in proportion to {candidate.covariate} ({size}).",
@@ -165,6 +166,29 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _per_kelvin(candidate: Candidate, values: Array) -> str:
+    """Of what grows along itself or moves in one component, by how much."""
+    if candidate.effect != "thermal_growth":
+        return ""
+    first = candidate.columns[0]
+    if first.function == "link_growth":
+        return f" by {values[0] * 1e6:.3g} ppm per kelvin"
+    if candidate.component is None or len({column.args["place"] for column in candidate.columns}) > 1:
+        return ""
+    return f" by {values[0] * 1e6:.3g} {'µrad' if candidate.component.startswith('r') else 'µm'} per kelvin"
+
+
+def _parts(candidate: Candidate, values: Array) -> str:
+    """A scale's parts per million, once and per kelvin."""
+    if candidate.effect != "tracker_scale":
+        return ""
+    said = [
+        f"{v * 1e6:.3g} ppm" + (f" per kelvin of {candidate.covariate}" if "place" in column.args else "")
+        for v, column in zip(values, candidate.columns, strict=True) if column.on == "points"
+    ]  # fmt: skip
+    return f", by {' and '.join(said)}"
 
 
 def _far(c: Context, candidate: Candidate, values: Array) -> str:

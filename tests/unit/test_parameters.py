@@ -86,6 +86,19 @@ def test_a_zero_that_wanders_is_said_as_how_far_it_goes_in_newtons(space: Worksp
     assert (said["Fy_zero_change"]["value"], said["Fy_zero_change"]["unit"]) == (pytest.approx(-6.0), "N")
 
 
+def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None:
+    some = library(space.context)
+    scale = next(k for k in some if k.effect == "tracker_scale" and [c.on for c in k.columns] == ["points"] * 2)
+    said = sentence(space.context, scale, np.array([4.38e-5, -1.2e-6]), 1e-4)
+    assert f"by a factor, by 43.8 ppm and -1.2 ppm per kelvin of {scale.covariate} (" in said
+    grows = next(k for k in some if k.effect == "thermal_growth" and k.columns[0].function == "link_growth")
+    assert " by 11.5 ppm per kelvin: its" in sentence(space.context, grows, np.array([1.15e-5]), 1e-4)
+    shifts = next(k for k in some if k.effect == "thermal_growth" and k.component == "tx" and len(k.columns) == 1)
+    assert " by 20 µm per kelvin: its" in sentence(space.context, shifts, np.array([2e-5]), 1e-4)
+    any_way = next(k for k in some if k.effect == "thermal_growth" and len(k.columns) == 6)
+    assert f"moves with {any_way.covariate}: its" in sentence(space.context, any_way, np.full(6, 1e-5), 1e-4)
+
+
 def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
     straight = [k for k in library(space.context) if k.effect == "drift" and k.columns[0].args["form"] == "linear"]
     assert straight
