@@ -34,9 +34,9 @@ def numbers_of(
     """
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if candidate.effect == "drift":
-        out = {f"change_{name}": entry for name, entry in drifts(c, candidate, values, covariance).items()}
+        out = _drift(c, candidate, values, covariance)
     elif candidate.effect == "cross_coupling":
-        height, its_std = _peak_to_valley(_courses(c, candidate.columns), values, covariance)
+        height, its_std = _peak_to_valley(courses(c, candidate.columns), values, covariance)
         out = {"peak_to_valley": _entry(abs(height), its_std, _unit(candidate.component))}
     elif candidate.effect == "wrench_error" and candidate.columns[0].args.get("time") == "cosine":
         out = _wandering(c, candidate, values, covariance)
@@ -61,7 +61,8 @@ def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
     mine = tried.candidates[best]
     if not mine.shape:
         return {}
-    kin = np.array([j for j, other in enumerate(tried.candidates) if _differs_in_shape_alone(mine, other)])
+    namesakes = np.flatnonzero(tried.name_of == tried.name_of[best])
+    kin = np.array([j for j in namesakes if _differs_in_shape_alone(mine, tried.candidates[j])])
     said = evidence[kin] + tried.log_share[kin]
     weights = np.exp(said - said.max())
     weights /= weights.sum()
@@ -78,9 +79,9 @@ def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
 
 
 def _differs_in_shape_alone(mine: Candidate, other: Candidate) -> bool:
+    """Of two with one name."""
     return (
-        (mine.effect, mine.joint, mine.frame, mine.component, mine.covariate)
-        == (other.effect, other.joint, other.frame, other.component, other.covariate)
+        (mine.frame, mine.component, mine.covariate) == (other.frame, other.component, other.covariate)
         and mine.shape.keys() == other.shape.keys()
         and [k.function for k in mine.columns] == [k.function for k in other.columns]
         and [k.args.get("form") for k in mine.columns] == [k.args.get("form") for k in other.columns]
@@ -92,14 +93,14 @@ def _entry(value: float, std: float | None, unit: str) -> dict[str, Any]:
 
 
 # --- what bends as it needs -----------------------------------------------------------------------------------------
-def drifts(c: Context, candidate: Candidate, values: Array, covariance: Array) -> Entries:
+def _drift(c: Context, candidate: Candidate, values: Array, covariance: Array) -> Entries:
     """How far the base goes along and about each of its axes: from one extreme to the later one."""
     out: Entries = {}
     for k in dict.fromkeys(column.component for column in candidate.columns):
         mine = [j for j, column in enumerate(candidate.columns) if column.component == k]
-        courses = _courses(c, [candidate.columns[j] for j in mine])
-        change, std = _peak_to_valley(courses, values[mine], covariance[np.ix_(mine, mine)])
-        out[COMPONENTS[k]] = _entry(change, std, _unit(COMPONENTS[k]))
+        there = courses(c, [candidate.columns[j] for j in mine])
+        change, std = _peak_to_valley(there, values[mine], covariance[np.ix_(mine, mine)])
+        out[f"change_{COMPONENTS[k]}"] = _entry(change, std, _unit(COMPONENTS[k]))
     return out
 
 
@@ -115,16 +116,16 @@ def _wandering(c: Context, candidate: Candidate, values: Array, covariance: Arra
     return out
 
 
-def _courses(c: Context, columns: Sequence[Column]) -> Array:
+def courses(c: Context, columns: Sequence[Column]) -> Array:
     """(N, k) the functions of k columns on a frame."""
     return np.stack([column.value(c) for column in columns], axis=1)
 
 
-def _peak_to_valley(courses: Array, values: Array, covariance: Array) -> tuple[float, float]:
+def _peak_to_valley(functions: Array, values: Array, covariance: Array) -> tuple[float, float]:
     """The later extreme less the earlier one of what k functions (N, k) make together, and its standard deviation."""
-    course = courses @ values
+    course = functions @ values
     first, last = sorted((int(np.argmin(course)), int(np.argmax(course))))
-    apart = courses[last] - courses[first]
+    apart = functions[last] - functions[first]
     return float(apart @ values), float(np.sqrt(max(apart @ covariance @ apart, 0.0)))
 
 

@@ -13,10 +13,11 @@ from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
-from ppshw.diagnosis.parameters import drifts, numbers_of, rocks
+from ppshw.diagnosis.parameters import courses, numbers_of, rocks
 from ppshw.diagnosis.visibility import alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 
 Array = NDArray[np.float64]
@@ -195,20 +196,22 @@ def _far(c: Context, candidate: Candidate, values: Array) -> str:
     """How far a drift goes, along the axis and about the axis where it goes farthest."""
     if candidate.effect != "drift":
         return ""
-    went = drifts(c, candidate, values, np.zeros((len(values), len(values))))
+    each = courses(c, candidate.columns) * values
+    moves = np.array([column.component for column in candidate.columns])
+    went = {COMPONENTS[k]: float(np.ptp(each[:, moves == k].sum(axis=1))) for k in dict.fromkeys(moves.tolist())}
     said = []
     for kind, how, unit in (("t", "along", "mm"), ("r", "about", "mrad")):
-        of = {name: abs(entry["value"]) for name, entry in went.items() if name.startswith(kind)}
+        of = [name for name in went if name.startswith(kind)]
         if of:
-            most = max(of, key=lambda name: of[name])
-            said.append(f"by {of[most] * 1e3:.3f} {unit} {how} {most[1]}")
+            most = max(of, key=lambda name: went[name])
+            said.append(f"by {went[most] * 1e3:.3f} {unit} {how} {most[1]}")
     return f"{' and '.join(said)}, "
 
 
 def _high(c: Context, candidate: Candidate, values: Array, unit: str) -> str:
     if candidate.effect != "cross_coupling":
         return ""
-    height = numbers_of(c, candidate, values, np.zeros((len(values), len(values))))["peak_to_valley"]["value"]
+    height = float(np.ptp(courses(c, candidate.columns) @ values))
     return f"by {height * 1e3:.3f} {unit} from peak to valley "
 
 

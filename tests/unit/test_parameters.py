@@ -12,6 +12,7 @@ from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.parameters import numbers_of, spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
 from tests.unit.clean_case import clean_case
 
@@ -125,6 +126,22 @@ def test_a_period_comes_with_how_surely_it_is_known(space: Workspace) -> None:
         assert abs(candidates[best].shape["period"] - period) < 3 * said[size]
     assert 0 < said[5.0] <= said[1.0]
     assert said[1.0] < 0.1 * period
+
+
+def test_a_period_is_a_way_of_its_joint_whichever_component_errs(space: Workspace) -> None:
+    units = {}
+    for joint, component in (("longitudinal", "rx"), ("longitudinal", "tz"), ("yaw", "tx")):
+        k = space.machine.joint_names.index(joint)
+        wave = [
+            Column("frame", "wave", {"joint": k, "period": 0.1, "phase": p}, k + 1, COMPONENTS.index(component))
+            for p in ("sin", "cos")
+        ]
+        one = Candidate("periodic_transmission", joint, joint, component, f"q_{joint}", tuple(wave), {"period": 0.1})
+        said = numbers_of(space.context, one, np.array([3e-5, 4e-5]), 1e-12 * np.eye(2), {"period": 2e-3})
+        assert said["amplitude"]["value"] == pytest.approx(5e-5)
+        assert said["period"]["std"] == 2e-3
+        units[joint, component] = (said["amplitude"]["unit"], said["period"]["unit"])
+    assert list(units.values()) == [("rad", "m"), ("m", "m"), ("m", "rad")]
 
 
 def test_what_the_library_has_one_value_of_has_no_spread(space: Workspace) -> None:

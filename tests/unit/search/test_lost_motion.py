@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import weights
+from ppshw.diagnosis import _lost, weights
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
@@ -150,6 +150,14 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     found[0].weights = {found[0].name: 0.95}
     _soft_walls(space, tried, found[0])
     assert (("backlash", NAME) in found[0].weights) == may_be
+
+
+def test_what_a_joint_loses_is_known_from_an_earlier_look(space: Workspace) -> None:
+    sign = on_joint(space, "approach")
+    half = 3.0 * space.unit / np.sqrt((sign.evaluate(space.context) ** 2).sum() / space.recording.seen.sum())
+    there = replace(space, data=space.data + half * sign.evaluate(space.context))
+    found, tried = look(there, ["backlash"], NAME)
+    assert _lost(there, tried, found) == {NAME: pytest.approx(2 * half, rel=0.15)}
 
 
 def test_what_is_known_to_be_lost_says_what_walls_may_give_way_by(space: Workspace) -> None:
