@@ -24,6 +24,7 @@ def report(a: argparse.Namespace) -> None:
 def diagnose(a: argparse.Namespace) -> None:
     """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
     from ppshw.diagnosis import diagnose as run
+    from ppshw.diagnosis import serial
     from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
@@ -58,6 +59,8 @@ def diagnose(a: argparse.Namespace) -> None:
     lines += [f"  {c['sentence']}" for c in answer["corrections"]]
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
+    if remembers := serial.sentence(answer):
+        lines.append(remembers)
     lines.append(f"by the base model {sentence(answer['checks']['before'])}")
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")

@@ -27,6 +27,7 @@ from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import search
+from ppshw.diagnosis.serial import SerialNoise
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -116,6 +117,7 @@ def diagnose(
     scatter = None if riddle else scatter_of(space, seed, any_way=True, nameless=unnamed)
     space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
     answer, carried = _answer(space, tried, found, gross, scatter, unnamed, mistakes)
+    answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
     return Diagnosis(answer, space, carried.found)

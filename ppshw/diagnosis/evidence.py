@@ -311,12 +311,12 @@ class Tried:
         size = (residual**2).sum(axis=1) / freedom
         residual = residual * np.sqrt(np.minimum(1.0, MOST_OF_NOISE / np.maximum(size, 1e-30)))[:, None]
         signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
-        few = self._greatest(signs[:FEW, :, None] * residual)
+        few = self.greatest(signs[:FEW, :, None] * residual)
         if p_value(observed, few) < PLAIN:
             return few
-        return np.concatenate([few, self._greatest(signs[FEW:, :, None] * residual)])
+        return np.concatenate([few, self.greatest(signs[FEW:, :, None] * residual)])
 
-    def _greatest(self, turned: Array) -> Array:
+    def greatest(self, turned: Array) -> Array:
         """(D,) log evidence of the best name of each of D recordings (D, F, 3T), whitened."""
         turned = turned.reshape(len(turned), -1).T
         scores = self.laid.product(self.space.absorb(turned))

@@ -21,6 +21,7 @@ from ppshw.diagnosis.evidence import (
 from ppshw.diagnosis.found import Found, against_riddles, explained, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD
 from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.serial import drop_what_noise_may_be
 from ppshw.diagnosis.shadows import SAME_EFFECT, SHADOW, at_once, caster_of, of_a_riddle, same_place
 from ppshw.diagnosis.standing import drop_what_riddles_leave, give_up
 from ppshw.diagnosis.weights import weigh
@@ -73,6 +74,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
         take_up(space, tried, found)
     give_up(space, tried, found)
     drop_what_riddles_leave(space, tried, found)
+    drop_what_noise_may_be(space, tried, found, rng)
     weigh(space, tried, found)
     return found
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.identification.joint import Estimate, estimate
+from ppshw.identification.noise import Noise
 from ppshw.identification.start import to_base
 from ppshw.identification.structure import MOST_WAVES, joint_model
 from ppshw.machine import Machine
@@ -209,6 +210,13 @@ def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
     return [which == k for k in range(number)]
 
 
+def whitener(noise: Noise, levers: Array, seen: Mask) -> Array:
+    """(N, 3T, 3T) L⁻¹ of the covariance of every visit's readings, 0 for lost targets; levers of `Model.linearise`."""
+    root = np.linalg.inv(np.linalg.cholesky(noise.covariance(levers, seen, np.ones(len(seen)))))
+    rows = np.repeat(seen, 3, axis=1)
+    return np.asarray(root * (rows[:, :, None] & rows[:, None, :]))
+
+
 def prepare(
     machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None,
     sure: Sequence[int] = (),
@@ -230,8 +238,7 @@ def prepare(
     gap = np.where(seen[..., None], to_base(recording.points, base.measuring_in_base) - lin.positions, 0.0)
     data = gap.reshape(count, -1) + design @ base.theta[active]
     caution = caution_of(model, strengths)[active]
-    root = np.linalg.inv(np.linalg.cholesky(base.noise.covariance(lin.levers, seen, np.ones(count))))
-    root = root * (rows[:, :, None] & rows[:, None, :])
+    root = whitener(base.noise, lin.levers, seen)
     weights = np.ones(count)
     weights[fit] = np.maximum(base.weights, 1e-3)
     weights[list(sure)] = 1.0

@@ -11,7 +11,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from ppshw.diagnosis import Diagnosis
+from ppshw.diagnosis import Diagnosis, serial
 from ppshw.diagnosis.checks import ODD, check, sentence
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
@@ -77,6 +77,7 @@ def render(diagnosis: Diagnosis, now: datetime) -> str:
         checks=_checks(answer["checks"]),
         checks_picture=residuals.checks_picture(answer["checks"]["before"], answer["checks"]["after"]),
         said={when: sentence(answer["checks"][when]) for when in ("before", "after")},
+        remembers=serial.sentence(answer),
         odd=ODD,
         how_rare=how_rare,
     )

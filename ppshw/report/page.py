@@ -10,6 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from ppshw.diagnosis import serial
 from ppshw.diagnosis.checks import sentence
 from ppshw.errors import ReportError
 from ppshw.report import figures, functions, tables
@@ -127,6 +128,8 @@ def _diagnosed(contents: Contents) -> list[str]:
         f"On visits that the fit never saw, readings miss by {mm(held['rms_before_mm'])} rms before and "
         f"{mm(held['rms_after_mm'])} after; noise alone makes {mm(answer['noise_floor_mm'])}."
     )
+    if remembers := serial.sentence(answer):
+        out.append(f"{remembers[0].upper()}{remembers[1:]}.")
     if checks:
         out.append(f"By the base model the recording is {sentence(checks['before'])}.")
         if answer["findings"] or left:
