@@ -18,6 +18,7 @@ from ppshw.terms.shapes import Column, Context, named_column
 Array = NDArray[np.float64]
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
+HALF_WAVES = (range(1, 7), range(7, 13))  # over its joint's travel, by which a frame gives way under its load
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
 
 
@@ -54,6 +55,7 @@ def under_load(c: Context) -> Iterator[Candidate]:
                     args = {**where, "place": place, "tau": tau}
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
                     found.append(rival(c, frame, b, (load, f"temp_{place}_C"), warm))
+            found += _between_posts(c, frame, b, load)
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
         if (most := _bends_most(c, frame)) is None:
             continue
@@ -62,6 +64,20 @@ def under_load(c: Context) -> Iterator[Candidate]:
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[most]}"
             found = [rival(c, frame, None, (load, f"temp_{place}_C"), softer)]
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, most])
+
+
+def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:
+    """A frame gives way under its load by where its joint stands: a rail on posts, balls of a bearing."""
+    joint = frame - 1
+    span = float(np.ptp(c.recording.q[:, joint]))
+    if span == 0.0:
+        return
+    for halves in HALF_WAVES:
+        yield rival(c, frame, component, (load, f"q_{c.machine.joint_names[joint]}"), [
+            Column("frame", "wave", {"joint": joint, "period": 2 * span / j, "phase": phase, "pressed": component},
+                   frame, component)
+            for j in halves for phase in ("sin", "cos")
+        ])  # fmt: skip
 
 
 def _bends_most(c: Context, frame: int) -> int | None:

@@ -54,6 +54,19 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
 
 
+def test_a_rail_that_sags_between_its_posts_goes_by_its_load_and_its_position(space: Workspace) -> None:
+    """Under the payload, four times over the travel, and not on the posts (another author's 038)."""
+    joint = space.machine.joint_names.index("lateral")
+    q = space.recording.q[:, joint]
+    carried = space.context.wrenches[:, joint + 1, 1]
+    sags = (carried - carried.max()) * np.sin(4 * np.pi * (q - q.min()) / np.ptp(q)) ** 2
+    moved = of_size(space, space.context.jacobian[:, :, joint + 1, 1] * sags[:, None], 1.5)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["nonlinear_stiffness", "periodic_transmission", "cross_coupling"], "lateral")
+    assert {f.name for f in found} == {("nameless", None)}
+    assert best_of(tried, found[0]).covariates == ("on_lateral_Fy", "q_lateral")
+
+
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
     """Wherever it turns, with the column that it depends on and at its own place."""
     bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
