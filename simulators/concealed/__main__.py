@@ -27,14 +27,19 @@ def main() -> int:
     parser.add_argument(
         "--fit", type=int, default=None, help="visits in the recording (default: three quarters)"
     )
+    parser.add_argument(
+        "--remembers", type=float, default=0.0, metavar="R",
+        help="correlation of a visit's scatter with that of the one before (default: 0)",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--sealed", type=Path, required=True, metavar="DIR")
     a = parser.parse_args()
     fit = round(0.75 * a.visits) if a.fit is None else a.fit
     try:
         seal = make_case(
-            a.seed, a.machine, a.effect, a.size, a.out, a.sealed, a.visits, fit, salt=secrets.token_hex(16)
-        )
+            a.seed, a.machine, a.effect, a.size, a.out, a.sealed, a.visits, fit,
+            salt=secrets.token_hex(16), remembers=a.remembers,
+        )  # fmt: skip
     except (ValueError, OSError) as problem:
         print(f"simulators.concealed: {problem}", file=sys.stderr)
         return 2

@@ -50,6 +50,7 @@ def make_case(
     visits: int = 600,
     fit: int = 450,
     salt: str = "",
+    remembers: float = 0.0,
 ) -> str:
     """Write a case into `out` and its truth into `sealed`; returns the seal, a SHA-256 of the truth's bytes.
 
@@ -57,7 +58,10 @@ def make_case(
             any model has absorbed any of it. Of a pair each has it.
     fit     the first so many visits are the recording; the rest, later in time, is held out
     salt    goes into the truth, so that nobody can hash his way through all effects and compare
+    remembers  correlation of every joint's scatter with that of the visit before
     """
+    if not -1.0 < remembers < 1.0:
+        raise ValueError(f"a correlation of {remembers:g}, expected one between -1 and 1")
     if out.resolve() == sealed.resolve():
         raise ValueError(f"{out}: the truth must not lie beside the case")
     if not 0 < fit <= visits:
@@ -77,11 +81,12 @@ def make_case(
     plant = Plant(read_chain(file), seed=int(geometry_rng.integers(2**31)))
     campaign = draw_campaign(plant.chain, visits, campaign_rng)
     q = campaign.commanded + ENCODER_SIGMA * noise_rng.normal(size=campaign.commanded.shape)
-    scene = Scene.of(plant, campaign, q, noise_rng, rigid)
+    scene = Scene.of(plant, campaign, q, noise_rng, rigid).remembering(remembers)
     floor = rms(scene.points() - scene.points(random=False))
     sized = [_draw_effect(scene, name, seed, size * floor) for name in names]
     _write_recordings(scene, [s.change for s in sized], out, fit, noise_rng)
-    asked = {"salt": salt, "seed": seed, "machine": machine, "asked": effect, "size": size, "fit": fit}
+    asked = {"salt": salt, "seed": seed, "machine": machine, "asked": effect, "size": size, "fit": fit,
+             "remembers": remembers}  # fmt: skip
     document = _truth(scene, sized, floor, asked)
     return _seal(document, out, sealed)
 

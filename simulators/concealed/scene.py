@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -106,6 +106,13 @@ class Scene:
             plant, campaign, q, poses, wrench, carried, carried - own, plant.draw_repeatability(len(q), rng),
             tuple(rigid), np.array(list(plant.targets.values())),
         )  # fmt: skip
+
+    def remembering(self, correlation: float) -> Scene:
+        """The same, of a machine each of whose arrivals scatters partly as the one before did."""
+        scatter = self.scatter.copy()
+        for v in range(1, len(scatter)):
+            scatter[v] = correlation * scatter[v - 1] + np.sqrt(1.0 - correlation**2) * scatter[v]
+        return replace(self, scatter=scatter)
 
     def __len__(self) -> int:
         return len(self.q)
