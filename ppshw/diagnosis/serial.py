@@ -29,7 +29,9 @@ from ppshw.diagnosis.workspace import Workspace, whitener
 from ppshw.terms import Situation
 
 Array = NDArray[np.float64]
-REMEMBERS = 3.5  # standard deviations from none
+# Standard deviations from none: in 8 clean recordings of independent noise at most 1.5, of noise correlated by 0.35 6.6
+# and more (seeds 81001 to 81008).
+REMEMBERS = 3.5
 TRIED = np.arange(0.0, 0.9, 0.1)  # correlations that noise of the model's own is given
 OF_NONE, OF_EACH = 100, 20  # draws of each
 
