@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
-from ppshw.diagnosis.found import Found, take_up
+from ppshw.diagnosis.found import Found, by_its_own_form, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD, counts, never_turned, of_its_kind
 from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
@@ -34,6 +34,7 @@ RIDDLE = 0.5
 # Names beside louder structure without one, in decks of three authors: 5 to 22 of log evidence were wrong in four
 # cases, 92 and 102 right.
 QUIET = 25.0
+SURE = 3.0  # standard deviations by which a sign is one that physics denies
 # Any column that changes slowly is a clock too: that the base moves by it costs a drift its name only where it says so
 # much more (an air's pressure said 49.7 and a base that wanders 49.0; 38062).
 BY_THE_CLOCK = 5.0
@@ -61,7 +62,7 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             with_all = every - ALL_AHEAD if pieces else min(every - ALL_AHEAD, FAR_BEHIND * own)
             slowly = f.name[0] == "drift" and tried.candidates[best].frame == "base"
             least = max((1.0 + NEARLY) * own - AHEAD, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
-            behind = rival / HANDICAP > least
+            behind = rival / HANDICAP > least or _against_physics(space, tried, f, others)
             if own <= given_up.get(cause, -math.inf) or behind or _beside_a_riddle(tried, f, others):
                 given_up[cause] = max(own, given_up.get(cause, -math.inf))
                 f.was, f.best, f.name, f.evidence, f.first = f.best, best, tried.names[freely], rival, rival
@@ -128,6 +129,16 @@ def _by_itself(
     take_up(space, tried, others)
     evidence, names = tried.said()
     return float(names[tried.names.index(f.name)]), whole - space.log_evidence(), evidence
+
+
+def _against_physics(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> bool:
+    """Whether its form has the sign that physics denies it, beyond doubt: no joint falls against its load."""
+    candidate = tried.candidates[f.best]
+    if candidate.way == 0:
+        return False
+    take_up(space, tried, [*others, f], and_look=False)
+    values, covariance = by_its_own_form(space, candidate, f)
+    return bool(candidate.way * values[0] < -SURE * np.sqrt(covariance[0, 0]))
 
 
 def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:

@@ -138,6 +138,9 @@ def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_cle
     for way, name in ((1.0, "clearance"), (-1.0, "nonlinear_stiffness")):
         found, _ = look(replace(space, data=space.data + way * moved), ["nonlinear_stiffness", "clearance"])
         assert [f.name[0] for f in found] == [name]
+    for way, name in ((1.0, "clearance"), (-1.0, "nameless")):  # where stiffness has no name
+        found, _ = look(replace(space, data=space.data + way * moved), ["clearance"])
+        assert [f.name[0] for f in found] == [name]
 
 
 def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_of_its_load_s_spread(
