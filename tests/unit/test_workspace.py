@@ -426,7 +426,7 @@ def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_rec
     assert history_of(both) == "on j2, lagging by 0.4 h"
     assert history_of([column_of("time")]) is None
     offered = [k for k in nameless(c) if "on_j2_My" in k.covariates]
-    assert {len(k.columns) for k in offered} == {1, 2, 3, 4, 5, 6, 9}
+    assert {len(k.columns) for k in offered} == {1, 2, 3, 4, 5, 6, 9, 12}
     powers = next(k.columns for k in offered if len(k.columns) == 4)
     scaled = 2 * (now - now.min()) / np.ptp(now) - 1
     assert np.allclose(powers[0].value(c), (3 * scaled**2 - 1) / 2)  # Legendre's second
