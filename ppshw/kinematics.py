@@ -74,6 +74,17 @@ def point_positions(machine: Machine, q: Array, points: Array, errors: Array | N
     return np.asarray(np.einsum("nij,pj->npi", tip[:, :3, :3], points) + tip[:, None, :3, 3])
 
 
+def tip_levers(arms: Array) -> Array:
+    """(N, T, 3) from the end effector's origin to the targets → (N, T, 3, 6): ∂p/∂(translation, rotation)."""
+    out = np.zeros((*arms.shape, 6))
+    out[..., :3] = np.eye(3)
+    x, y, z = arms[..., 0], arms[..., 1], arms[..., 2]
+    out[..., 0, 4], out[..., 0, 5] = z, -y
+    out[..., 1, 3], out[..., 1, 5] = -z, x
+    out[..., 2, 3], out[..., 2, 4] = y, -x
+    return out
+
+
 def point_jacobian(chain: Array, positions: Array, errors: Array | None = None) -> Array:
     """How points on the end effector move per generalized error, exact at the given errors.
 

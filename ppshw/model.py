@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.kinematics import frames, point_jacobian, tip_jacobian
+from ppshw.kinematics import frames, point_jacobian, tip_jacobian, tip_levers
 from ppshw.machine import Machine
 from ppshw.statics import link_wrenches
 from ppshw.terms import Fills, FrameTerm, Parameter, Situation
@@ -126,7 +126,7 @@ class Model:
         flat = jacobian.reshape(count, size * 3, -1, 6)
         design = self.columns(flat, situation, wrenches, offsets)
         joints = jacobian[..., 1:, :].reshape(count, size, 3, -1)
-        levers = np.concatenate([_levers(positions - tip[:, None, :3, 3]), joints], axis=3)
+        levers = np.concatenate([tip_levers(positions - tip[:, None, :3, 3]), joints], axis=3)
         return Linearised(positions, design.reshape(count, size, 3, -1), levers)
 
     def tangent(self, situation: Situation, theta: Array) -> Tangent:
@@ -173,14 +173,3 @@ class Model:
         names = self.machine.frame_names
         terms = [len(term.parameters(names)) for term in self.terms]
         return terms + ([len(self.target_offset.parameters(names))] if self.target_offset else [])
-
-
-def _levers(arms: Array) -> Array:
-    """(N, T, 3) from the end effector's origin to the targets → (N, T, 3, 6): ∂p/∂(translation, rotation)."""
-    out = np.zeros((*arms.shape, 6))
-    out[..., :3] = np.eye(3)
-    x, y, z = arms[..., 0], arms[..., 1], arms[..., 2]
-    out[..., 0, 4], out[..., 0, 5] = z, -y
-    out[..., 1, 3], out[..., 1, 5] = -z, x
-    out[..., 2, 3], out[..., 2, 4] = y, -x
-    return out

@@ -18,6 +18,7 @@ from ppshw.calibration import Calibration
 from ppshw.diagnosis.checks import Check, check
 from ppshw.diagnosis.replicas import Compared, Single, Wrong
 from ppshw.errors import CalibrationError
+from ppshw.identification.noise import half
 from ppshw.identification.start import to_base
 from ppshw.kinematics import point_jacobian
 from ppshw.recording import Recording, Table
@@ -54,7 +55,7 @@ def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> T
     count, size = len(recording), context.points.shape[1]
     ideal = context.points + _effects(calibration, recording, others).reshape(count, size, 3)
     everything = np.ones((count, size), dtype=bool)
-    covariance = calibration.noise.covariance(_levers(context), everything, np.ones(count))
+    covariance = calibration.noise.covariance(context.levers(), everything, np.ones(count))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((count, 3 * size, 1)))[..., 0]
     turn = calibration.measuring_in_base
     read = (ideal + noise.reshape(ideal.shape) - turn[:3, 3]) @ turn[:3, :3]
@@ -97,8 +98,7 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
     count, seen = len(recording), recording.seen
     rows = np.repeat(seen, 3, axis=1)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
-    covariance = calibration.noise.covariance(_levers(context), seen, np.ones(count))
-    root = np.linalg.inv(np.linalg.cholesky(covariance)) * (rows[:, :, None] & rows[:, None, :])
+    root = calibration.noise.whitener(context.levers(), seen)
     ideal = context.points.reshape(count, -1) + _effects(calibration, recording)
     read = to_base(recording.points, calibration.measuring_in_base).reshape(count, -1)
     left = (root @ np.where(rows, read - ideal, 0.0)[..., None])[..., 0]
@@ -112,7 +112,7 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
             prior = np.concatenate([prior, *map(_allowed, calibration.effects)])
         wrong = _fitted(design, prior)
     else:
-        wrong = _known(_half(calibration.covariance[np.ix_(active, active)]).astype(np.float32))
+        wrong = _known(half(calibration.covariance[np.ix_(active, active)]).astype(np.float32))
     return Compared(left, root, rows, np.ones(count), design, wrong, context)
 
 
@@ -158,12 +158,6 @@ def _prior(calibration: Calibration) -> Array:
     return np.maximum([calibration.strengths[p.group] * p.scale for p in parameters], 1e-15)
 
 
-def _half(covariance: Array) -> Array:
-    """A square root; what rounding made negative is nothing."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
 def _design(calibration: Calibration, recording: Recording, root: Array) -> tuple[Single, Mask]:
     """Whitened columns (N·3T, k) of the parameters that the calibration is unsure of, and which those are (p,)."""
     model, theta = calibration.model, calibration.theta
@@ -202,14 +196,3 @@ def _effects(calibration: Calibration, recording: Recording, others: Sequence[Ar
         for column, value in zip(effect.columns, effect.values, strict=True):
             out += value * column.evaluate(context)
     return out[rows]
-
-
-def _levers(context: Context) -> Array:
-    """(N, K, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint: see `Noise`."""
-    arms = context.points - context.tips[:, None, :3, 3]
-    out = np.zeros((*arms.shape, 6))
-    out[..., :3] = np.eye(3)
-    for axis in range(3):
-        out[..., 3 + axis] = np.cross(np.eye(3)[axis], arms)
-    joints = context.jacobian[:, :, 1:].reshape(*arms.shape, -1)
-    return np.concatenate([out, joints], axis=3)

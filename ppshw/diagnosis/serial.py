@@ -25,8 +25,7 @@ from scipy.signal import lfilter
 
 from ppshw.diagnosis.evidence import DRAWS, FURTHER, Tried, p_value
 from ppshw.diagnosis.found import Found, take_up
-from ppshw.diagnosis.workspace import Workspace, whitener
-from ppshw.terms import Situation
+from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
 # Standard deviations from none: in 8 clean recordings of independent noise at most 1.5, of noise correlated by 0.35 6.6
@@ -48,16 +47,10 @@ class SerialNoise:
 
     @staticmethod
     def of(space: Workspace) -> SerialNoise:
-        noise, recording = space.base.noise, space.recording
-        levers = space.base.model.linearise(Situation.of(recording), space.base.theta).levers
-        root = whitener(noise, levers, recording.seen)[space.fit]
-        flat = levers.reshape(len(recording), space.rows, -1)[space.fit]
-        if noise.joints is None:
-            lengths, turn = np.linalg.eigh(noise.pose)
-            columns = flat[..., :6] @ (turn * np.sqrt(np.maximum(lengths, 0.0)))
-        else:
-            columns = flat[..., 6:] * np.sqrt(noise.joints.ravel())
-        return SerialNoise(root @ columns, root * noise.instrument)
+        noise, levers = space.base.noise, space.context.levers()[space.fit]
+        root = noise.whitener(levers, space.recording.seen[space.fit])
+        scatter = noise.scatter(levers.reshape(len(levers), space.rows, -1))
+        return SerialNoise(root @ scatter, root * noise.instrument)
 
     def draws(self, correlation: float, count: int, rng: np.random.Generator) -> Array:
         """(count, F, 3T) whitened readings, of unit variance, where each visit's scatter has that correlation with the
@@ -73,9 +66,8 @@ class SerialNoise:
 
     def score(self, space: Workspace, readings: Array) -> Array:
         """(D,) of what the workspace's fit leaves of whitened readings (D, F, 3T)."""
-        flat = readings.reshape(len(readings), -1).T
-        left = space.absorb(flat) - space.absorbed @ (space.middle @ (space.absorbed.T @ flat))
-        along = np.einsum("nrf,dnr->dnf", self.freedoms, left.T.reshape(readings.shape))
+        left = space.left_of(readings.reshape(len(readings), -1).T).T.reshape(readings.shape)
+        along = np.einsum("nrf,dnr->dnf", self.freedoms, left)
         return np.asarray(np.einsum("dnf,dnf->d", along[:, 1:], along[:, :-1]))
 
     def correlation(self, space: Workspace, rng: np.random.Generator) -> float:

@@ -57,12 +57,13 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
                 continue
             pieces = [g for g in found if g.name == f.name and g is not f]
             others = [g for g in found if g is not f and g not in pieces]
+            against = _against_physics(space, tried, f)
             own, every, evidence = _by_itself(space, tried, f, others, pieces)
             rival, best = _other_than(tried, f, evidence, freely)
             with_all = every - ALL_AHEAD if pieces else min(every - ALL_AHEAD, FAR_BEHIND * own)
             slowly = f.name[0] == "drift" and tried.candidates[best].frame == "base"
             least = max((1.0 + NEARLY) * own - AHEAD, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
-            behind = rival / HANDICAP > least or _against_physics(space, tried, f, others)
+            behind = rival / HANDICAP > least or against
             if own <= given_up.get(cause, -math.inf) or behind or _beside_a_riddle(tried, f, others):
                 given_up[cause] = max(own, given_up.get(cause, -math.inf))
                 f.was, f.best, f.name, f.evidence, f.first = f.best, best, tried.names[freely], rival, rival
@@ -131,12 +132,12 @@ def _by_itself(
     return float(names[tried.names.index(f.name)]), whole - space.log_evidence(), evidence
 
 
-def _against_physics(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> bool:
-    """Whether its form has the sign that physics denies it, beyond doubt: no joint falls against its load."""
+def _against_physics(space: Workspace, tried: Tried, f: Found) -> bool:
+    """Whether the form of a finding that is taken up has the sign that physics denies it, beyond doubt: no joint falls
+    against its load."""
     candidate = tried.candidates[f.best]
     if candidate.way == 0:
         return False
-    take_up(space, tried, [*others, f], and_look=False)
     values, covariance = by_its_own_form(space, candidate, f)
     return bool(candidate.way * values[0] < -SURE * np.sqrt(covariance[0, 0]))
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.identification.joint import Estimate, estimate
-from ppshw.identification.noise import Noise
 from ppshw.identification.start import to_base
 from ppshw.identification.structure import MOST_WAVES, joint_model
 from ppshw.machine import Machine
@@ -165,8 +164,11 @@ class Workspace:
 
     def left(self) -> Array:
         """(F·3T,) P' y: whitened residual of the fit visits."""
-        base = self.absorb(self.y[:, None])[:, 0]
-        return np.asarray(base - self.absorbed @ (self.middle @ (self.absorbed.T @ self.y)))
+        return self.left_of(self.y[:, None])[:, 0]
+
+    def left_of(self, white: Array) -> Array:
+        """P' Z: whitened columns (F·3T, k) less what the base model and all that was taken up take of them."""
+        return np.asarray(self.absorb(white) - self.absorbed @ (self.middle @ (self.absorbed.T @ white)))
 
     def coefficients(self) -> tuple[Array, Array]:
         """θ of the base model (p,) and of what was taken up (k,), from the fit visits."""
@@ -210,13 +212,6 @@ def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
     return [which == k for k in range(number)]
 
 
-def whitener(noise: Noise, levers: Array, seen: Mask) -> Array:
-    """(N, 3T, 3T) L⁻¹ of the covariance of every visit's readings, 0 for lost targets; levers of `Model.linearise`."""
-    root = np.linalg.inv(np.linalg.cholesky(noise.covariance(levers, seen, np.ones(len(seen)))))
-    rows = np.repeat(seen, 3, axis=1)
-    return np.asarray(root * (rows[:, :, None] & rows[:, None, :]))
-
-
 def prepare(
     machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None,
     sure: Sequence[int] = (),
@@ -238,7 +233,7 @@ def prepare(
     gap = np.where(seen[..., None], to_base(recording.points, base.measuring_in_base) - lin.positions, 0.0)
     data = gap.reshape(count, -1) + design @ base.theta[active]
     caution = caution_of(model, strengths)[active]
-    root = whitener(base.noise, lin.levers, seen)
+    root = base.noise.whitener(lin.levers, seen)
     weights = np.ones(count)
     weights[fit] = np.maximum(base.weights, 1e-3)
     weights[list(sure)] = 1.0

@@ -174,7 +174,7 @@ def _visible(estimate: Estimate, visits: Situation, asked: NDArray[np.bool_]) ->
     linear = estimate.model.linearise(visits, estimate.theta)
     count, targets = len(visits), linear.positions.shape[1]
     seen = np.ones((count, targets), dtype=bool)
-    root = np.linalg.inv(np.linalg.cholesky(estimate.noise.covariance(linear.levers, seen, np.ones(count))))
+    root = estimate.noise.whitener(linear.levers, seen)
     return np.asarray(root @ linear.design.reshape(count, 3 * targets, -1)[:, :, asked])
 
 

@@ -54,13 +54,31 @@ class Noise:
             out[:, k, k] += ~live
         return out
 
+    def whitener(self, levers: Array, seen: Mask) -> Array:
+        """(N, 3T, 3T) L⁻¹ of the covariance of every visit's readings, 0 for lost targets."""
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance(levers, seen, np.ones(len(seen)))))
+        rows = np.repeat(seen, 3, axis=1)
+        return np.asarray(root * (rows[:, :, None] & rows[:, None, :]))
+
+    def scatter(self, levers: Array) -> Array:
+        """(N, K, f) what a standard deviation of each freedom in which the machine scatters does, joints' or pose's."""
+        if self.joints is None or levers.shape[2] == 6:
+            return np.asarray(levers[..., :6] @ half(self.pose))
+        return np.asarray(levers[..., 6:] * np.sqrt(self.joints.ravel()))
+
     def of_pose(self, levers: Array) -> Array:
         """The pose's part alone: (N, K, K)."""
         if self.joints is None or levers.shape[2] == 6:
             b = levers[..., :6]
             return np.asarray(b @ self.pose @ np.swapaxes(b, 1, 2))
-        b = levers[..., 6:] * np.sqrt(self.joints.ravel())
+        b = self.scatter(levers)
         return np.asarray(b @ np.swapaxes(b, 1, 2))
+
+
+def half(covariance: Array) -> Array:
+    """A square root; what rounding made negative is nothing."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def pose_rank(seen: Mask) -> int:

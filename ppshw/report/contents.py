@@ -175,7 +175,8 @@ def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
 
 def _look_at(answer: dict[str, Any]) -> None:
     """What the page takes from an answer, once before it is believed."""
-    numbers = [answer["noise_floor_mm"], *(answer["held_out"][f"rms_{when}_mm"] for when in ("before", "after"))]
+    numbers = [answer["noise_floor_mm"], answer.get("serial_correlation", 0.0)]
+    numbers += [answer["held_out"][f"rms_{when}_mm"] for when in ("before", "after")]
     texts = [item["sentence"] for item in (*answer["findings"], *answer.get("corrections", ()))]
     if left := answer.get("unexplained"):
         texts += left["covariates"]

@@ -133,6 +133,24 @@ def scene() -> Scene:
     return Scene.of(plant, campaign, campaign.commanded, rng)
 
 
+def test_scatter_that_remembers_is_as_large_and_like_that_of_the_visit_before() -> None:
+    still, remembers = scene().scatter, scene().remembering(0.6).scatter
+    there = still.std(axis=0) > 0
+    u, v = still[:, there] / still[:, there].std(axis=0), remembers[:, there] / still[:, there].std(axis=0)
+    assert abs((u[1:] * u[:-1]).mean()) < 0.1
+    assert abs((v[1:] * v[:-1]).mean() / (v**2).mean() - 0.6) < 0.1
+    assert abs((v**2).mean() - 1.0) < 0.2
+
+
+@pytest.mark.parametrize("correlation", [1.0, -1.5, float("nan")])
+def test_a_correlation_that_no_noise_has_is_refused_before_anything_is_written(
+    tmp_path: Path, correlation: float
+) -> None:
+    with pytest.raises(ValueError, match="expected one between -1 and 1"):
+        make_case(1, "pps", "null", 0.0, tmp_path / "case", tmp_path / "sealed", 60, 45, remembers=correlation)
+    assert not list(tmp_path.iterdir())
+
+
 def drawn(
     effect: str, form: str, joints: tuple[str | None, ...] = ()
 ) -> tuple[Concealed, np.ndarray[Any, Any], int]:

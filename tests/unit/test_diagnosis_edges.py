@@ -73,6 +73,7 @@ def answered(case: Case, folder: Path) -> dict[str, Any]:
     assert main(["evaluate", *where, "--calibration", calibration]) == 0
     assert 0.02 < answer["noise_floor_mm"] < 0.5  # 0.1 mm by the machine file
     assert answer["held_out"]["rms_after_mm"] < 1.0
+    assert 0.0 <= answer["serial_correlation"] < 0.9
     assert all(0.0 <= row["share"] <= 1.0 and row["detectable_mm"] > 0.0 for row in answer["visibility"])
     return answer
 

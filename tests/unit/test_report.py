@@ -442,6 +442,7 @@ def answer(**other: Any) -> str:
         ("diagnosis.json", answer(corrections=[{"sentence": 7}]), "7 where a text is expected"),
         ("diagnosis.json", answer(held_out={"rms_before_mm": 0.1}), "'rms_after_mm' is missing"),
         ("diagnosis.json", answer(noise_floor_mm="small"), "'small' where a number is expected"),
+        ("diagnosis.json", answer(serial_correlation="half"), "'half' where a number is expected"),
         ("diagnosis.json", answer(unexplained={"p_value": 0}), "'covariates' is missing"),
         ("diagnosis.json", answer(checks={"before": []}), "'after' is missing"),
         ("repeatability.db", "SQLite format 3\x00 and no more", "not a recording"),

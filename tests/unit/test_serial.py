@@ -45,6 +45,7 @@ def test_noise_of_the_models_own_is_white_and_remembers(clean: Workspace) -> Non
     near = np.einsum("dnr,dnr->n", drawn[:, 1:], drawn[:, :-1]) / len(drawn)
     scatter = np.einsum("nrf,nrf->n", noise.freedoms[1:], noise.freedoms[:-1])
     assert near.mean() > 0.3 * scatter.mean() > 0.0
+    np.testing.assert_allclose(near.mean(), 0.6 * scatter.mean(), rtol=0.05)
     still = noise.draws(0.0, 400, np.random.default_rng(1))
     assert abs(np.einsum("dnr,dnr->n", still[:, 1:], still[:, :-1]).mean() / len(still)) < 0.02
 

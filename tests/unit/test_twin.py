@@ -270,4 +270,7 @@ def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     answer = _diagnosed(rig).answer | {"verdict": "consistent", "findings": [], "checks": before_and_after(rig.space)}
     page = render(Diagnosis(answer, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
     assert "nothing is missing beyond noise" in page
+    assert "scatter has" not in page
+    page = render(Diagnosis(answer | {"serial_correlation": 0.4}, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
+    assert "scatter has 0.40 of that of the visit before.</p>" in page
     assert "What was found" not in page

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.kinematics import frames, point_jacobian
+from ppshw.kinematics import frames, point_jacobian, tip_levers
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -78,6 +78,11 @@ class Context:
             self.memo[key] = make()
             self.memo[key].flags.writeable = False
         return self.memo[key]
+
+    def levers(self) -> Array:
+        """(N, T, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint (`Noise`)."""
+        joints = self.jacobian[:, :, 1:].reshape(*self.points.shape, -1)
+        return np.concatenate([tip_levers(self.points - self.tips[:, None, :3, 3]), joints], axis=3)
 
     def u(self, joint: int) -> Array:
         """Joint position scaled to −1 … 1 over what was sampled."""
