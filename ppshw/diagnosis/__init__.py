@@ -137,9 +137,10 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
-    jumps = [] if "zero_shift" in without else jumps_of_zeros(space)
+    jumps = jumps_of_zeros(space)
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
-    candidates = library(space.context, without, moments, periods, bands, jumps, knocks, lost) + nameless(space.context)
+    named = library(space.context, without, moments, periods, bands, jumps, knocks, lost)
+    candidates = named + nameless(space.context, jumps)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
     tried = Tried(space, candidates, space.unit, without)

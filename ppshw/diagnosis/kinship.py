@@ -26,6 +26,7 @@ ALWAYS = 0.85
 WOUND_UP = 0.97
 SMOOTH = frozenset({"covariate", "load_legendre"})
 OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})  # any function of a link's own load is one or the other
+JUMPS = frozenset({"step", "hopping"})
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
 
 
@@ -45,9 +46,11 @@ def of_its_kind(
             return over == set(named.covariates)
         case "drift":
             return rival.frame == "base" and all(name == "time" or name.endswith(inside) for name in over)
+        case "backlash":  # from which side its joint came, and nothing else
+            return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
         case "zero_shift":
             there = here or (_alike(named, rival, parallel) and named.component == rival.component)
-            return there and all(column.function == "step" for column in rival.columns)
+            return there and all(column.function in JUMPS for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
             there = rival.frame == named.frame or _alike(named, rival, parallel)

@@ -38,14 +38,9 @@ def zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
             both = shift_of_zero(c, k, first), shift_of_zero(c, k, second)
             yield Candidate(*where, both, _moments(first, second), 0.2 / pairs)
         for many in (many for many in jumps if many.of == name):
-            share = 0.1 / math.comb(len(every), len(many.moments))
-            if many.hops:
-                hopping = Column("frame", "hopping", {"times": many.moments}, k + 1, own)
-                shape = {"time_h": many.moments[0], "hops": float(len(many.moments))}
-                yield Candidate(*where, (hopping,), shape, share)
-            else:
-                columns = tuple(shift_of_zero(c, k, moment) for moment in many.moments)
-                yield Candidate(*where, columns, _moments(*many.moments), share)
+            hops = {"time_h": many.moments[0], "hops": float(len(many.moments))}
+            shape = hops if many.hops else _moments(*many.moments)
+            yield Candidate(*where, shifts_of_zero(c, k, many), shape, one_of_so_many(c, many))
         for moment in some:
             for tau in (0.5, 1.5):
                 back = Column("frame", "settling", {"visit_time": moment, "tau": tau}, k + 1, own)
@@ -72,6 +67,18 @@ def moved_reflector(c: Context, moments: Sequence[float], knocks: Sequence[Jumps
 def shift_of_zero(c: Context, k: int, moment: float) -> Column:
     """What a jump of a joint's zero at a moment [h] does from then on."""
     return Column("frame", "step", {"visit_time": moment}, k + 1, own_component(c, k))
+
+
+def shifts_of_zero(c: Context, k: int, jumps: Jumps) -> tuple[Column, ...]:
+    """What several jumps of a joint's zero do."""
+    if jumps.hops:
+        return (Column("frame", "hopping", {"times": jumps.moments}, k + 1, own_component(c, k)),)
+    return tuple(shift_of_zero(c, k, moment) for moment in jumps.moments)
+
+
+def one_of_so_many(c: Context, jumps: Jumps) -> float:
+    """The share of several jumps, beside one of one jump: they were chosen from all that there may be."""
+    return 0.1 / math.comb(len(visits_between(c)), len(jumps.moments))
 
 
 def shift_of_reflector(target: int, moment: float, **more: float) -> tuple[Column, ...]:

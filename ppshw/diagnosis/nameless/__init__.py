@@ -15,7 +15,11 @@ located by its columns. docs/diagnosis.md §1, step 3.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+
 from ppshw.diagnosis.library.candidate import Candidate, all_kept
+from ppshw.diagnosis.library.jumps import Jumps
 from ppshw.diagnosis.nameless.at_the_reflectors import at_the_reflectors
 from ppshw.diagnosis.nameless.by_columns import (
     along_a_joint,
@@ -34,11 +38,15 @@ __all__ = ["nameless"]
 
 
 @all_kept()
-def nameless(c: Context) -> list[Candidate]:
+def nameless(c: Context, jumps: Sequence[Jumps] = ()) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind as they say; shares add up
-    to one."""
+    to one.
+
+    jumps  moments of several jumps of a joint that the recording speaks for most
+    """
+    at_some_moments = partial(at_a_moment, jumps=jumps)
     makers = (
-        of_one_column, along_a_joint, base_in_all_directions, at_a_moment, rhythms, random_seats, reversals,
+        of_one_column, along_a_joint, base_in_all_directions, at_some_moments, rhythms, random_seats, reversals,
         under_load, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns, finely, dents,
         of_two_positions, of_three_positions, at_the_reflectors,
     )  # fmt: skip

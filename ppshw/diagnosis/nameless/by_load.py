@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
-from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, most_alike, rival, smooth_pair
+from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 
@@ -69,15 +69,11 @@ def under_load(c: Context) -> Iterator[Candidate]:
 def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:
     """A frame gives way under its load by where its joint stands: a rail on posts, balls of a bearing."""
     joint = frame - 1
-    span = float(np.ptp(c.recording.q[:, joint]))
-    if span == 0.0:
+    if np.ptp(c.recording.q[:, joint]) == 0.0:
         return
+    names = load, f"q_{c.machine.joint_names[joint]}"
     for halves in HALF_WAVES:
-        yield rival(c, frame, component, (load, f"q_{c.machine.joint_names[joint]}"), [
-            Column("frame", "wave", {"joint": joint, "period": 2 * span / j, "phase": phase, "pressed": component},
-                   frame, component)
-            for j in halves for phase in ("sin", "cos")
-        ])  # fmt: skip
+        yield rival(c, frame, component, names, half_waves(c, joint, component, halves, pressed=component))
 
 
 def _bends_most(c: Context, frame: int) -> int | None:

@@ -10,7 +10,7 @@ import numpy as np
 from ppshw.diagnosis.library.by_position import FINELY_TWO
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import moving_joints, own_component
-from ppshw.diagnosis.nameless.rival import rival, smooth_pair
+from ppshw.diagnosis.nameless.rival import half_waves, rival, smooth_pair
 from ppshw.terms.shapes import Column, Context
 
 OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many, that nobody names
@@ -21,14 +21,9 @@ DENTS = (0.05, 0.1)  # widths relative to half the travel
 def finely(c: Context) -> Iterator[Candidate]:
     """A function of one position finer than the base model's, octave by octave."""
     for k, name in moving_joints(c):
-        span = float(np.ptp(c.recording.q[:, k]))
         finer = [(own_component(c, k), least) for least in IN_ITS_DIRECTION]
         for comp, least in [*itertools.product(range(6), OCTAVES), *finer]:
-            waves = [
-                Column("frame", "wave", {"joint": k, "period": 2 * span / j, "phase": phase}, k + 1, comp)
-                for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
-            ]  # fmt: skip
-            yield rival(c, k + 1, comp, (f"q_{name}",), waves)
+            yield rival(c, k + 1, comp, (f"q_{name}",), half_waves(c, k, comp, range(2 * least, 4 * least, 2)))
 
 
 def dents(c: Context) -> Iterator[Candidate]:
@@ -58,12 +53,9 @@ def of_two_positions(c: Context) -> Iterator[Candidate]:
                 Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": j}, k + 1, comp)
                 for i, j in FINELY_TWO
             ])  # fmt: skip
-            period = 2 * float(np.ptp(c.recording.q[:, k]))
             for least in OCTAVES[:2]:
-                yield rival(c, k + 1, comp, names, [
-                    Column("frame", "wave_q", {"joint": k, "period": period / j, "phase": phase, "by": m}, k + 1, comp)
-                    for j in range(2 * least, 4 * least, 2) for phase in ("sin", "cos")
-                ])  # fmt: skip
+                in_proportion = half_waves(c, k, comp, range(2 * least, 4 * least, 2), "wave_q", by=m)
+                yield rival(c, k + 1, comp, names, in_proportion)
 
 
 def of_three_positions(c: Context) -> Iterator[Candidate]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -36,6 +36,17 @@ def rival(
 def bumps(name: str, frame: int, comp: int) -> list[Column]:
     """Any smooth function of a column."""
     return [Column("frame", "covariate", {"name": name, "knot": j, "count": KNOTS}, frame, comp) for j in range(KNOTS)]
+
+
+def half_waves(
+    c: Context, joint: int, comp: int, halves: Iterable[int], function: str = "wave", **of: int
+) -> list[Column]:
+    """Waves of which so many halves go into a joint's travel, at its own frame."""
+    twice = 2 * float(np.ptp(c.recording.q[:, joint]))
+    return [
+        Column("frame", function, {"joint": joint, "period": twice / j, "phase": phase, **of}, joint + 1, comp)
+        for j in halves for phase in ("sin", "cos")
+    ]  # fmt: skip
 
 
 def smooth_pair(c: Context, frame: int, comp: int, first: str, second: str) -> Candidate:

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library.jumps import Jumps, shifts_of_zero, visits_between
 from ppshw.diagnosis.library.sampled import own_component
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import finding, stand_ins
 from ppshw.diagnosis.workspace import Workspace
@@ -232,3 +235,20 @@ def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space:
     said = finding(there, tried, found[0])["parameters"]
     assert said["lag_h"]["value"] == 1.0
     assert said["scale_per_K"]["value"] == pytest.approx(3e-5, rel=0.2)
+
+
+def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jumps_have_none(space: Workspace) -> None:
+    """Drift between the same visits, in any direction, would fit as well, with more columns (other authors' cases)."""
+    k = space.machine.joint_names.index("longitudinal")
+    first, second = (visits_between(space.context)[j] for j in (41, 120))
+    for moments, moved in (((first,), [1.0]), ((first, second), [1.0, -2.0])):
+        jumps = Jumps("longitudinal", moments)
+        does = [column.evaluate(space.context) for column in shifts_of_zero(space.context, k, jumps)]
+        field = of_size(space, np.tensordot(moved, np.array(does), 1), 2.0)
+        there = replace(space, data=space.data + field)
+        drifts = [c for c in library(there.context, moments=moments) if c.effect == "drift"]
+        tried = Tried(there, [*drifts, *nameless(there.context, [jumps])], 5e-5)
+        found = search(there, tried, np.random.default_rng(0))
+        assert [f.name for f in found] == [("nameless", None)]
+        assert best_of(tried, found[0]).covariates == ("q_longitudinal", "time")
+        assert len(best_of(tried, found[0]).columns) == len(moments)
