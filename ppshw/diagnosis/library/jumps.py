@@ -38,8 +38,8 @@ def zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
             both = shift_of_zero(c, k, first), shift_of_zero(c, k, second)
             yield Candidate(*where, both, _moments(first, second), 0.2 / pairs)
         for many in (many for many in jumps if many.of == name):
-            hops = {"time_h": many.moments[0], "hops": float(len(many.moments))}
-            shape = hops if many.hops else _moments(*many.moments)
+            shape = _moments(many.moments[0]) if many.hops else _moments(*many.moments)
+            shape |= {"hops": float(len(many.moments))} if many.hops else {}
             yield Candidate(*where, shifts_of_zero(c, k, many), shape, one_of_so_many(c, many))
         for moment in some:
             for tau in (0.5, 1.5):

@@ -73,9 +73,9 @@ def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool
     """Whether what a joint lost and takes up over such a way is friction that winds it up: longer than soft walls are
     for what it is known to lose, or for any play that the recording may show (three repeatabilities at the
     reflectors)."""
-    travel = float(np.ptp(c.recording.q[:, k]))
     if known is not None:
         return way > SOFTEST_KNOWN * known
+    travel = float(np.ptp(c.recording.q[:, k]))
     moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
     lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
     lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.jumps import Jumps, one_of_so_many, shifts_of_zero, visits_between
+from ppshw.diagnosis.library.jumps import Jumps, one_of_so_many, shift_of_zero, shifts_of_zero, visits_between
 from ppshw.diagnosis.library.sampled import MOMENTS, moments_between, moving_joints, own_component
 from ppshw.diagnosis.nameless.rival import ends, rival
 from ppshw.terms.shapes import Column, Context
@@ -27,15 +27,17 @@ def _over_time(c: Context) -> list[tuple[int, int, tuple[str, ...]]]:
 def at_a_moment(c: Context, jumps: Sequence[Jumps] = ()) -> Iterator[Candidate]:
     """Something changes at a moment and stays: once, a joint in its own direction between any two visits and base and
     tip at one of some moments; or several times, at moments that the recording speaks for."""
-    for frame, comp, names in _over_time(c):
-        moments = moments_between(c, MOMENTS) if names == ("time",) else visits_between(c)
-        for moment in moments:
-            once = rival(c, frame, comp, names, [Column("frame", "step", {"visit_time": moment}, frame, comp)])
-            yield replace(once, share=1.0 / len(moments))
+    every, some = visits_between(c), moments_between(c, MOMENTS)
     for k, joint in moving_joints(c):
+        place = k + 1, own_component(c, k), (f"q_{joint}", "time")
+        for moment in every:
+            yield replace(rival(c, *place, [shift_of_zero(c, k, moment)]), share=1.0 / len(every))
         for many in (many for many in jumps if many.of == joint):
-            often = rival(c, k + 1, own_component(c, k), (f"q_{joint}", "time"), shifts_of_zero(c, k, many))
-            yield replace(often, share=one_of_so_many(c, many))
+            yield replace(rival(c, *place, shifts_of_zero(c, k, many)), share=one_of_so_many(c, many))
+    for frame, comp in ends(c):
+        for moment in some:
+            once = rival(c, frame, comp, ("time",), [Column("frame", "step", {"visit_time": moment}, frame, comp)])
+            yield replace(once, share=1.0 / len(some))
 
 
 def rhythms(c: Context) -> Iterator[Candidate]:

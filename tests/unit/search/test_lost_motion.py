@@ -162,15 +162,17 @@ def test_what_a_joint_loses_is_known_from_an_earlier_look(space: Workspace) -> N
 
 def test_what_is_known_to_be_lost_says_what_walls_may_give_way_by(space: Workspace) -> None:
     """A hundred times what it loses is friction that winds up, however short a part of the travel that is."""
-    within = 0.01 * travel_of(space)
+    within, briefly = 0.01 * travel_of(space), 0.002 * travel_of(space)
 
-    def called(lost: float) -> set[str]:
+    def called(lost: float, within: float = within) -> set[str]:
         known = library(space.context, lost={NAME: lost})
         return {k.effect for k in known if k.joint == NAME and k.shape.get("width") == pytest.approx(within)}
 
     assert called(within / 100) == {"friction_hysteresis"}
     assert called(within / 15) == {"friction_hysteresis"}
     assert called(within / 8) == {"backlash"}
+    assert called(briefly / 15, briefly) == {"friction_hysteresis"}
+    assert called(briefly / 8, briefly) == {"backlash"}
 
 
 def test_what_pulls_sideways_with_the_approach_is_no_lost_motion(space: Workspace) -> None:

@@ -252,3 +252,4 @@ def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jum
         assert [f.name for f in found] == [("nameless", None)]
         assert best_of(tried, found[0]).covariates == ("q_longitudinal", "time")
         assert len(best_of(tried, found[0]).columns) == len(moments)
+        assert tuple(column.args["visit_time"] for column in best_of(tried, found[0]).columns) == moments
