@@ -54,6 +54,7 @@ class Calibration:
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
     strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
     ambiguous           what the recording does not tell apart, as `ambiguity.Ambiguity.as_dict` says it
+    temperature_range   place → least and greatest seen; what has no reading there is not listed   [°C]
     visits              what effects may remember: the recording's visits, without their readings; None without effects
     """
 
@@ -71,6 +72,7 @@ class Calibration:
     strengths: dict[str, float] = field(default_factory=dict)
     ambiguous: tuple[dict[str, Any], ...] = ()
     visits: Recording | None = None
+    temperature_range: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
@@ -115,7 +117,9 @@ class Calibration:
             sampled,
             provenance,
             strengths=dict(estimate.groups),
-        )
+            temperature_range={place: (float(np.nanmin(t)), float(np.nanmax(t)))
+                               for place, t in used.temperatures.items() if np.isfinite(t).any()},
+        )  # fmt: skip
 
     def save(self, path: Path | str) -> None:
         """Write the file whole or not at all. Raises CalibrationError when the folder is missing."""
@@ -147,6 +151,7 @@ class Calibration:
             "valid": {
                 "joints": dict(zip(machine.joint_names, self.joint_range.tolist(), strict=True)),
                 "payload": dict(zip(WRENCH_COMPONENTS, self.payload_range.tolist(), strict=True)),
+                "temperatures": {place: list(ends) for place, ends in self.temperature_range.items()},
             },
             "sampled": self.sampled,
             "measuring_in_base": self.measuring_in_base.tolist(),
@@ -201,6 +206,7 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     found = calibration
     everything = {"terms": found.theta, "covariance": found.covariance, "measuring_in_base": found.measuring_in_base,
                   "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
+                  "valid.temperatures": np.array(list(found.temperature_range.values())),
                   "targets": found.machine.target_array}  # fmt: skip
     if found.noise.joints is not None:
         if (found.noise.joints < 0).any():
@@ -252,6 +258,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         {str(k): float(v) for k, v in data.get("strengths", {}).items()},
         tuple(data.get("ambiguous", [])),
         _visits(data, machine),
+        {str(p): (float(low), float(high)) for p, (low, high) in data["valid"].get("temperatures", {}).items()},
     )
 
 

@@ -7,7 +7,6 @@ those that can be known when a setpoint is computed are taken out (terms/at_hand
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -86,7 +85,7 @@ class Compensator:
         if calibration.effects:
             self.known = KnownEffects(
                 calibration.effects, calibration.model, calibration.theta, calibration.reference,
-                calibration.measuring_in_base,
+                calibration.measuring_in_base, calibration.temperature_range,
             )  # fmt: skip
 
     def for_pose(
@@ -117,7 +116,7 @@ class Compensator:
 
     def setpoint_map(
         self, after: Recording | None = None, final_approach: Signs | None = None
-    ) -> Callable[[Array, Array, Array, Around], Array]:
+    ) -> Corrections:
         """For a campaign: (wanted (n,), wrench (6,) as read at (n,), what is around) → corrected (n,).
 
         Keeps the moves that it was asked for as the past of the next one; a map is good for one run.
@@ -126,7 +125,7 @@ class Compensator:
                         was made from if the run begins soon after them (`earlier.goes_on`), else nothing
         final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
         """
-        return _Corrections(self, after, final_approach)
+        return Corrections(self, after, final_approach)
 
     def _correct(
         self, wanted_tip: Array, nominal: Array, payload: Array, point: str, given: Circumstances
@@ -241,7 +240,7 @@ def _approach(end: Array, given: Circumstances) -> Signs:
     return found if given.approach is None else np.where(given.approach != 0, given.approach, found)
 
 
-class _Corrections:
+class Corrections:
     """Corrected setpoints of one run, each with the moves before it as its past."""
 
     def __init__(self, compensator: Compensator, after: Recording | None, final_approach: Signs | None) -> None:
@@ -250,6 +249,12 @@ class _Corrections:
         self._visits = compensator.calibration.visits if after is None else None
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
+        self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
+
+    @property
+    def said(self) -> list[tuple[Verdict, int]]:
+        """What became of every effect, each reason for itself, and at how many of the setpoints until now."""
+        return list(self._said.values())
 
     def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
         payload = payload_at(self._compensator.machine, wrench, here, wanted)
@@ -267,6 +272,9 @@ class _Corrections:
         found = self._compensator.for_joints(wanted, payload, given=given)
         now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
         self._past = known.remember(self._past, now)
+        for verdict in found.effects:
+            key = verdict.effect.name, verdict.effect.joint, verdict.why
+            self._said[key] = verdict, self._said.get(key, (verdict, 0))[1] + 1
         return found.corrected
 
 

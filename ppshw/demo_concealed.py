@@ -24,7 +24,7 @@ from campaigns.runner import SetpointMap, run_campaign
 from campaigns.script import LoadCase, load_script
 from campaigns.site import load_site, open_bench
 from ppshw.calibration import Calibration
-from ppshw.compensation import Circumstances, Compensator
+from ppshw.compensation import Compensator
 from ppshw.demo import POINT, as_wanted, fresh_folder
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.modelled import extended
@@ -35,8 +35,7 @@ from ppshw.identification import identify
 from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.progress import folded
-from ppshw.recording import Around, Recording, load_recording
-from ppshw.terms.at_hand import Verdict
+from ppshw.recording import Recording, load_recording
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
 from ppshw.whole_file import file_hash, write_text
@@ -111,16 +110,16 @@ def run_concealed(
             more = extended(found.space, found.found)
             more.save(out / "extended.json")
 
-            compensator, label = Compensator(more), file_hash(out / "calibration.json")
+            label = file_hash(out / "calibration.json")
             before = measure("verification_nominal", "verification", as_wanted, "nominal")
             by_base = measure("verification_base", "verification", Compensator(base).setpoint_map(), label)
-            corrected, label = compensator.setpoint_map(after=by_base), file_hash(out / "extended.json")
+            corrected, label = Compensator(more).setpoint_map(after=by_base), file_hash(out / "extended.json")
             by_more = measure("verification_extended", "verification", corrected, label)
             recordings = dict(zip(ROWS, (before, by_base, by_more), strict=True))
             errors = {row: point_errors(r, machine, POINT) for row, r in recordings.items()}
             (out / "truth.json").write_bytes(hardware.carried.truth)
             truth = json.loads(hardware.carried.truth)
-        verdicts = _verdicts(compensator, by_more)
+        verdicts = [verdict for verdict, _ in corrected.said]
         instrument = {row: _without_instrument(more, r, errors[row]) for row, r in recordings.items()}
         answer: dict[str, Any] = {
             "seal": hardware.carried.seal,
@@ -173,19 +172,6 @@ def _without_instrument(calibration: Calibration, recording: Recording, errors: 
         calibration.reference, ideal + np.nan_to_num(errors),
     )  # fmt: skip
     return errors - erring if erring.any() else None
-
-
-def _verdicts(compensator: Compensator, run: Recording) -> tuple[Verdict, ...]:
-    """What the last setpoints of a run took out, and what not."""
-    if compensator.known is None:
-        return ()
-    past = compensator.known.past_of(run)
-    last = past.moments[-1]
-    around = Around(last.time, last.load, last.temperatures)
-    known = Circumstances(around=around, approach=last.approach, past=past)
-    wanted = np.array([run.covariates[f"wanted_{j}"][-1] for j in run.joint_names])
-    return compensator.for_joints(wanted, last.payload, POINT, known).effects
-
 
 
 def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:

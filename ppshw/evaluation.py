@@ -14,6 +14,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
+from ppshw.terms.at_hand import BEYOND_C
 from ppshw.terms.effect import UNNAMED, displacement
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
@@ -80,8 +81,8 @@ def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it; where the calibration carries
-    effects, how many visits of its own recording this one goes on from; where structure without a name, how many visits
-    lie where nothing is known of it."""
+    effects, how many visits of its own recording this one goes on from, and how many are at temperatures that its
+    effects were never measured at; where structure without a name, how many visits lie where nothing is known of it."""
     nominal = figures(nominal_residuals(recording, machine, refit_base))
     mine = nominal if calibration is None else figures(residuals(recording, calibration, refit_base))
     answer = {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
@@ -89,8 +90,22 @@ def evaluate(
         return answer
     whole, rows = calibration.continued(recording)
     answer["earlier_visits"] = len(whole) - len(recording)
+    answer["beyond"] = _beyond(recording, calibration)
     if any(e.name == UNNAMED for e in calibration.effects):
         context = Context.of(calibration.model, calibration.theta, whole, calibration.measuring_in_base,
                              dict(calibration.reference))  # fmt: skip
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer
+
+
+def _beyond(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
+    """Per place whose temperature moves an effect: its range while that was measured, and the visits beyond it."""
+    places = {str(c.args["place"]): None for e in calibration.effects for c in e.columns if c.args.get("place")}
+    out = []
+    for place in places:
+        low, high = calibration.temperature_range.get(place, (-np.inf, np.inf))
+        here = recording.temperatures.get(place, np.zeros(0))
+        visits = int(((here < low - BEYOND_C) | (here > high + BEYOND_C)).sum())
+        if visits:
+            out.append({"temperature": place, "low_C": low, "high_C": high, "visits": visits})
+    return out

@@ -77,6 +77,9 @@ def evaluate(a: argparse.Namespace) -> None:
     lines += [figure_row(name, values) for name, values in rows]
     if answer.get("earlier_visits"):
         lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
+    for b in answer.get("beyond", ()):
+        lines.append(f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
+                     f"{b['high_C']:.1f} °C at which effects were measured; carried on there")
     for u in answer.get("unexplained", ()):
         lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
                      f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")

@@ -69,7 +69,7 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
-    lines += [f"{'compensated' if v.taken_out else 'not compensated'}: {v.sentence()}" for v in setpoints.effects]
+    lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
     return machine, answer, folded(lines)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import zip_longest
 from shutil import get_terminal_size
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from ppshw.cli.answers import new_file, say
 from ppshw.cli.setpoints import final_approach
 from ppshw.errors import HardwareError
-from ppshw.progress import Bar
+from ppshw.progress import Bar, folded
 from ppshw.whole_file import file_hash
 
 NARROWEST = 16  # letters of a column that is wrapped
@@ -38,10 +38,16 @@ def run(a: argparse.Namespace) -> None:
         )  # fmt: skip
     answer = {"out": str(result.out), "measured": result.measured, "done": result.done, "planned": len(found.visits),
               "skipped": result.skipped, "lost_beams": result.lost_beams}  # fmt: skip
-    say(a, answer, f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all")
+    lines = [f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all"]
+    if correct is not None:
+        said = correct.said
+        answer["compensated"] = [{**v.as_dict(), "visits": n} for v, n in said if v.taken_out]
+        answer["not_compensated"] = [{**v.as_dict(), "visits": n} for v, n in said if not v.taken_out]
+        lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in said]
+    say(a, answer, folded(lines))
 
 
-def _setpoint_map(a: argparse.Namespace, site: Any) -> tuple[Callable[..., Any] | None, str]:
+def _setpoint_map(a: argparse.Namespace, site: Any) -> tuple[Any, str]:
     """Compensated setpoints for a whole campaign, when a calibration is given."""
     if a.calibration is None:
         return None, "as planned"

@@ -79,6 +79,7 @@ def render(contents: Contents, now: datetime) -> str:
         unclear=unclear,
         joints=tables.joint_ranges(contents),
         payload=tables.payload_ranges(contents),
+        temperatures=tables.temperature_ranges(contents),
         sources=contents.sources,
         devices=tables.devices(contents),
         provenance=tables.provenance(contents),

@@ -105,6 +105,13 @@ def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
     ]
 
 
+def temperature_ranges(contents: Contents) -> list[tuple[str, str]]:
+    if contents.calibration is None:
+        return []
+    return [(place, f"{low:.1f} … {high:.1f} °C".replace("-", "−"))
+            for place, (low, high) in contents.calibration.temperature_range.items()]  # fmt: skip
+
+
 def provenance(contents: Contents) -> list[tuple[str, str]]:
     """What made which file; what several files share is said once."""
     libraries = ", ".join(f"{n} {version(n)}" for n in ("numpy", "scipy", "matplotlib", "jinja2"))

@@ -40,6 +40,7 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
 FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]
+BEYOND_C = 0.1  # what thermometers of a hall read one another apart
 GRID = 33  # moments over which a drift is averaged
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
@@ -51,6 +52,9 @@ class Verdict:
     effect: Effect
     taken_out: bool
     why: str
+
+    def heading(self) -> str:
+        return "compensated" if self.taken_out else "not compensated"
 
     def sentence(self) -> str:
         where = f" of {self.effect.joint}" if self.effect.joint else ""
@@ -65,9 +69,10 @@ class KnownEffects:
 
     def __init__(
         self, effects: Sequence[Effect], model: Model, theta: Array, reference: Mapping[str, float],
-        measuring_in_base: Array,
+        measuring_in_base: Array, temperature_range: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:  # fmt: skip
         self.effects = tuple(effects)
+        self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
@@ -111,10 +116,19 @@ class KnownEffects:
             place = column.args.get("place")
             if place and place not in now.temperatures:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
+        reserve = []
         lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
         if lag > 0 and not any(m.temperatures for m in past.moments):
-            return True, f"lags by {lag:g} h: taken as steady"
-        return True, ""
+            reserve.append(f"lags by {lag:g} h: taken as steady")
+        places = {str(c.args["place"]): None for c in effect.columns if c.args.get("place")}
+        return True, "; ".join([*reserve, *(said for p in places if (said := self._beyond(p, now)))])
+
+    def _beyond(self, place: str, now: Moment) -> str:
+        """That a thermometer stands where it never stood while the effect was measured; nothing where it did."""
+        low, high = self._seen_between.get(place, (-math.inf, math.inf))
+        if low - BEYOND_C <= now.temperatures[place] <= high + BEYOND_C:
+            return ""
+        return f"{place} is beyond the {low:.1f} to {high:.1f} °C at which it was measured; carried on as it was"
 
     # --- what they do --------------------------------------------------------------------------------------
     def errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
 from ppshw.recording_file import RecordingFile
+from ppshw.terms.effect import Effect
+from ppshw.terms.shapes import Column
 from simulators.faults import Fault, FaultSchedule
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
@@ -127,12 +130,27 @@ def test_a_run_does_not_go_on_with_another_calibration_of_the_same_recording(hal
         assert file.meta()["setpoints"] == hashlib.sha256((hall / "one.json").read_bytes()).hexdigest()
 
 
-def calibrate(folder: Path, name: str) -> Path:
+def test_a_run_says_at_how_many_visits_which_effect_was_taken_out_and_why_not(hall: Path) -> None:
+    by_side = Effect("backlash", "yaw", (Column("frame", "approach", {"joint": 3}, 4, 5),), (1e-5,), (1e-6,), "by hand")
+    by_time = Effect("drift", None, (Column("frame", "clock", {"form": "linear"}, 0, 2),), (1e-5,), (1e-6,), "by hand")
+    calibrate(hall, "found.json", (by_side, by_time))
+    loaded = SCRIPT.replace("{name: empty, mass: 0}, ", "").replace("COUNT", "5")
+    (hall / "five.yaml").write_text(loaded, encoding="utf-8")
+    words = ["run", "five.yaml", "--site", "site.yaml", "--out", "five.db", "--calibration", "found.json", "--json"]
+    found = run(hall, *words)
+    assert found["compensated"] == [{"effect": "backlash", "joint": "yaw", "why": None, "visits": 5}]
+    (left,) = found["not_compensated"]
+    assert (left["effect"], left["visits"]) == ("drift", 5)
+    assert "cannot be known" in left["why"]
+
+
+def calibrate(folder: Path, name: str, effects: tuple[Effect, ...] = ()) -> Path:
     """A calibration of the machine in the hall, written there; returns its machine file."""
     machine = load_machine(ROOT / "machines/pps.yaml")
     plant = Plant.from_file(machine.file, seed=1)
     recording = load_recording(simulate_recording_csv(plant, folder / "r.csv", 90), machine)
-    Calibration.of(identify(machine, recording), recording, "joint").save(folder / name)
+    found = Calibration.of(identify(machine, recording), recording, "joint")
+    replace(found, effects=effects, reference={"start": float(recording.time[0]), "hours": 2.0}).save(folder / name)
     return Path(machine.file)
 
 

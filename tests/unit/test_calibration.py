@@ -81,6 +81,17 @@ def test_only_positions_that_were_used_widen_the_valid_range(made: Made) -> None
     assert calibration.joint_range[0, 1] == np.delete(recording.q[:, 0], end).max()
 
 
+def test_it_says_between_which_temperatures_it_was_measured(made: Made, tmp_path: Path) -> None:
+    machine, recording, _, _ = made
+    rail = np.linspace(19.0, 23.5, len(recording))
+    rail[[0, -1]] = np.nan
+    warm = replace(recording, temperatures={"rail": rail, "dead": np.full(len(recording), np.nan)})
+    Calibration.of(identify(machine, warm), warm, "joint").save(tmp_path / "warm.json")
+    said = json.loads((tmp_path / "warm.json").read_text(encoding="utf-8"))["valid"]["temperatures"]
+    assert said == {"rail": [rail[1], rail[-2]]}
+    assert load_calibration(tmp_path / "warm.json", machine).temperature_range == {"rail": (rail[1], rail[-2])}
+
+
 def test_another_machine_refuses_it_even_of_the_same_name(made: Made, tmp_path: Path) -> None:
     machine, _, _, path = made
     text = Path(machine.file).read_text(encoding="utf-8")

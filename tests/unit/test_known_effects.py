@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Setpoints
+from ppshw.evaluation import evaluate
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import Around, load_recording
@@ -35,6 +36,7 @@ LOAD = Load(100.0, np.array([0.05, 0.1, 0.3]))
 VERTICAL, TY = 1, 1
 GAP = 3e-4
 HOURS = 8.0
+BEYOND = "rail is beyond the 19.0 to 25.0 °C at which it was measured; carried on as it was"
 
 
 @cache
@@ -123,6 +125,16 @@ def test_a_campaign_knows_where_every_move_starts() -> None:
     np.testing.assert_allclose(again, said[3], atol=1e-6)  # the reading of the load is of another pose
 
 
+def test_a_campaign_says_how_often_it_took_an_effect_out_and_why_not() -> None:
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    compensator = knowing("thermal_growth", "vertical", column, 8e-5)
+    move = Compensator(replace(compensator.calibration, temperature_range={"rail": (19.0, 25.0)})).setpoint_map()
+    for rail in ({"rail": 20.0}, {}, {"rail": 30.0}, {"rail": 31.0}, {"rail": 22.0}):
+        move(POSE, payload(), POSE, Around(1.7e9, "box", rail))
+    unknown = "the temperature of rail is not known; taken as its mean while measured"
+    assert [(v.taken_out, v.why, n) for v, n in move.said] == [(True, "", 2), (False, unknown, 1), (True, BEYOND, 2)]
+
+
 def test_an_axis_that_always_ends_its_moves_upwards_has_one_direction() -> None:
     move = lost_motion().setpoint_map(final_approach=np.array([0, 1, 0, 0, 0, 0]))
     around = Around(1.7e9, "box")
@@ -139,6 +151,34 @@ def test_growth_is_taken_out_by_the_temperature_of_its_place() -> None:
     unknown = asked(compensator, around=Around(temperatures={"air": 20.0}))
     np.testing.assert_allclose(unknown.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
     assert unknown.effects[0].why == "the temperature of rail is not known; taken as its mean while measured"
+
+
+@pytest.mark.parametrize(("rail", "said"), [
+    (25.05, ""), (25.2, BEYOND),
+    (18.95, ""), (18.0, BEYOND),
+])  # fmt: skip
+def test_growth_at_a_temperature_that_it_was_not_measured_at_is_carried_on_and_said(rail: float, said: str) -> None:
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    compensator = knowing("thermal_growth", "vertical", column, 8e-5)
+    compensator = Compensator(replace(compensator.calibration, temperature_range={"rail": (19.0, 25.0)}))
+    found = asked(compensator, around=Around(temperatures={"rail": rail}))
+    assert (found.effects[0].taken_out, found.effects[0].why) == (True, said)
+    plain = asked(Compensator(base()[1])).corrected
+    assert plain[VERTICAL] - found.corrected[VERTICAL] == pytest.approx(8e-5 * (rail - 22.0), rel=0.02)
+
+
+def test_evaluate_counts_visits_at_temperatures_that_no_effect_was_measured_at(tmp_path: Path) -> None:
+    plant, _ = base()
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 9, np.random.default_rng(2), "mixed")
+    temperatures = {"rail": np.linspace(18.0, 26.0, 9), "air": np.full(9, 40.0)}
+    recording = replace(load_recording(csv, load_machine(PPS)), temperatures=temperatures)
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    calibration = knowing("thermal_growth", "vertical", column, 8e-5).calibration
+    wide = replace(calibration, temperature_range={"rail": (18.05, 25.95)})
+    assert evaluate(recording, calibration.machine, wide)["beyond"] == []
+    narrow = replace(calibration, temperature_range={"rail": (19.5, 24.0), "air": (20.0, 21.0)})
+    said = evaluate(recording, calibration.machine, narrow)["beyond"]
+    assert said == [{"temperature": "rail", "low_C": 19.5, "high_C": 24.0, "visits": 4}]
 
 
 def test_growth_that_lags_follows_what_the_thermometers_said_before() -> None:
