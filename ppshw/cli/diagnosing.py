@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from pathlib import Path
+from typing import Any
 
 from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say
 from ppshw.cli.arguments import machine_of
@@ -65,7 +67,22 @@ def diagnose(a: argparse.Namespace) -> None:
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
     lines += [f"page {a.page}"] if a.page else []
-    print(folded(lines))
+    print("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
+
+
+def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:
+    """The commands that write visits by which findings would be told from what they may well be; to be copied."""
+    from ppshw.diagnosis.wording import to_separate
+
+    lines: list[str] = []
+    for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
+        at = f" --joint {shlex.quote(joint)}" if joint else ""
+        lines += [
+            f"visits that would tell {one} from {other}{' of ' + joint if joint else ''}:",
+            f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
+            f"    --to-separate {one},{other}{at} --out next.yaml",
+        ]
+    return lines
 
 
 def twin(a: argparse.Namespace) -> None:

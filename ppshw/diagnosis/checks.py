@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 # A check is said to fail below this: with fourteen to sixteen of them, one recording in fourteen or so does by chance.
 ODD = 0.005
+MOST_SAID = 3  # checks that a sentence names
 # The kinds of dependence that the map of `locate` looks at, as checks.
 DEPENDS = {
     "travel": "dependence on a joint's position",
@@ -79,12 +80,18 @@ def before_and_after(space: Workspace, seed: int = 0) -> dict[str, list[dict[str
 
 
 def sentence(checks: Sequence[dict[str, Any]]) -> str:
-    """One line for the terminal."""
-    odd = [c for c in checks if c["p"] <= ODD]
+    """In one line, the checks named that stand out most."""
+    odd = sorted((c for c in checks if c["p"] <= ODD), key=_out, reverse=True)
     if not odd:
         return f"like its twin in all {len(checks)} checks"
-    names = "; ".join(c["about"] + (f" ({c['where']})" if c["where"] else "") for c in odd)
-    return f"unlike its twin in {len(odd)} of {len(checks)} checks: {names}"
+    names = "; ".join(c["about"] + (f" ({c['where']})" if c["where"] else "") for c in odd[:MOST_SAID])
+    most = ", most in" if len(odd) > MOST_SAID else ":"
+    return f"unlike its twin in {len(odd)} of {len(checks)} checks{most} {names}"
+
+
+def _out(c: dict[str, Any]) -> float:
+    """How far a check is from the middle of its replicas, in halves of their middle 95 %."""
+    return float(abs(2.0 * c["observed"] - c["low"] - c["high"]) / max(c["high"] - c["low"], 1e-12))
 
 
 class _Numbers:

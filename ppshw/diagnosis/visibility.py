@@ -35,6 +35,25 @@ LOOKED_AT = (4.0, 6.0)
 SEEN_AT = 6.0
 # Names are aliases when so much of what one shows is what another can show as well.
 ALIAS = 0.9
+# √λ between two of them at which half of the recordings would say which (docs/prove.md, half power).
+TOLD_APART = 3.2
+
+
+@dataclass(frozen=True)
+class Alias:
+    """Another name a form of which shows nearly what a name's form shows.
+
+    alike  the share of it that it shows too, ALIAS to 1
+    apart  √λ of the rest: by how many standard deviations of noise this recording tells them apart, at that form's size
+    """
+
+    name: Name
+    alike: float
+    apart: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"effect": self.name[0], "joint": self.name[1], "alike": round(self.alike, 3),
+                "sqrt_lambda_apart": round(self.apart, 2)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -179,34 +198,45 @@ def _rms(tried: Tried, form: int) -> float:
     return float(np.sqrt((displaced(tried, form) ** 2).sum() / readings))
 
 
-def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None) -> list[Name]:
+def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None) -> list[Alias]:
     """Names a form of which shows 90 % or more of what this one shows, given the base model alone.
 
     form          index of the candidate that stands for the name (a finding's `best`); None: the typical one
-    coefficients  of the candidate's columns as fitted; None: all columns alike in rms at the reflectors
+    coefficients  of the candidate's columns as fitted; None: all columns alike, at the rms at the reflectors that nine
+                  of ten recordings show
     returns       names other than the asked one, the likeliest to be mistaken first; the same effect at another joint
                   counts
     """
+    strength = SEEN_AT
     if form is None:
         seen, _ = _of_forms(tried)
         mine = np.flatnonzero(tried.name_of == tried.names.index(name))
         form = _by_visibility(mine, seen / _widths(tried), np.array([k.share for k in tried.candidates]))[1]
-    scale = tried.scale[tried.index[form]]
-    along = directions(tried, np.array([form]), None if coefficients is None else [coefficients * scale])
-    alike = mimicked(tried, across(tried, along))[0]
+    scaled = None if coefficients is None else [coefficients * tried.scale[tried.index[form]]]
+    if scaled is not None:
+        field = scaled[0] @ tried.laid.rows(tried.index[form])
+        strength = float(np.sqrt(max(field @ tried.space.absorb(field[:, None])[:, 0], 0.0)))
+    alike = mimicked(tried, across(tried, directions(tried, np.array([form]), scaled)))[0]
     return [
-        tried.names[b] for b in np.argsort(-alike)
+        Alias(tried.names[b], float(alike[b]), strength * float(np.sqrt(1.0 - alike[b]))) for b in np.argsort(-alike)
         if alike[b] > ALIAS and tried.names[b] != name and tried.names[b][0] != "nameless"
     ]  # fmt: skip
 
 
-def alias_words(name: Name, aliases: Sequence[Name]) -> str:
+def alias_words(name: Name, aliases: Sequence[Alias]) -> str:
     """What a finding's sentence says of its aliases; empty without."""
-    if not aliases:
-        return ""
-    said = [effect if joint in (None, name[1]) else f"{effect} of {joint}" for effect, joint in aliases[:3]]
-    more = "" if len(aliases) <= 3 else f" or {len(aliases) - 3} more"
-    return f" This recording cannot tell it from {', '.join(said)}{more}."
+    one, far = [a for a in aliases if a.apart < TOLD_APART], [a for a in aliases if a.apart >= TOLD_APART]
+    out = f" This recording cannot tell it from {_listed(name, one)}." if one else ""
+    if far:
+        least = min(a.apart for a in far)
+        out += f" Nearly like it here, but told apart by {least:.0f} standard deviations: {_listed(name, far)}."
+    return out
+
+
+def _listed(name: Name, aliases: Sequence[Alias]) -> str:
+    said = [a.name[0].replace("_", " ") + (f" of {a.name[1]}" if a.name[1] not in (None, name[1]) else "")
+            for a in aliases[:3]]  # fmt: skip
+    return ", ".join(said) + ("" if len(aliases) <= 3 else f" or {len(aliases) - 3} more")
 
 
 def thinned(candidates: Sequence[Candidate], most: int = 12) -> tuple[list[Candidate], Array]:

@@ -14,7 +14,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import courses, numbers_of, rocks
-from ppshw.diagnosis.visibility import alias_words, aliases_of
+from ppshw.diagnosis.visibility import TOLD_APART, alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
@@ -50,7 +50,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "rms_mm": rms * 1e3,
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
-        "aliases": [{"effect": effect, "joint": joint} for effect, joint in aliases],
+        "aliases": [alias.as_dict() for alias in aliases],
         "sentence": sentence(space.context, candidate, values, rms) + alias_words(found.name, aliases),
     }
 
@@ -62,6 +62,18 @@ def how_sure(said: Mapping[str, Any]) -> str:
         for k in said["alternatives"][:1] if k["weight"] >= WEIGHT_TOLD
     ]  # fmt: skip
     return f"[weight {said['weight']:.2f}{''.join(others)}; p {how_rare(said['p_value'])}]"
+
+
+def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
+    """Of a finding: its effect, another one that it may well be, and the joint where both are (None: at several), as
+    `ppshw plan --to-separate` takes them; None where nothing is left to separate."""
+    likely = [k for k in said["alternatives"] if k["weight"] >= WEIGHT_TOLD]
+    close = [k for k in said["aliases"] if k["sqrt_lambda_apart"] < TOLD_APART]
+    for rival in (*likely, *close):
+        if rival["effect"] not in ("nameless", said["effect"]):
+            same = rival["joint"] in (None, said["joint"])
+            return said["effect"], rival["effect"], said["joint"] if same else None
+    return None
 
 
 def how_rare(p: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +18,8 @@ from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
-from ppshw.diagnosis.wording import how_rare
+from ppshw.diagnosis.visibility import TOLD_APART
+from ppshw.diagnosis.wording import how_rare, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
 from ppshw.report import residuals
@@ -197,15 +199,21 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
             rows.append(("carried as", f"{how}: {where}"))
         return rows or [("carried", "not by a calibration")]
     rows = [("p, family-wise", how_rare(said["p_value"])), ("weight of the name", f"{said['weight']:.3f}")]
-    rows += [(name.replace("_", " "), _value(p)) for name, p in said["parameters"].items()][:8]
+    rows += [(name.replace("_", " "), value_of(p)) for name, p in said["parameters"].items()][:8]
     others = [f"{_whose(a)} ({a['weight']:.3f})" for a in said["alternatives"]]
     rows.append(("could also be", ", ".join(others) or "nothing above 1 %"))
-    rows.append(("not to be told from", ", ".join(_whose(a) for a in said["aliases"]) or "nothing here"))
+    close = [a for a in said["aliases"] if a["sqrt_lambda_apart"] < TOLD_APART]
+    far = [f"{_whose(a)} ({a['sqrt_lambda_apart']:.0f} σ apart)" for a in said["aliases"] if a not in close]
+    rows.append(("not to be told from", ", ".join(map(_whose, close)) or "nothing here"))
+    rows += [("nearly like it", ", ".join(far))] if far else []
+    if apart := to_separate(said):
+        at = f" --joint {apart[2]}" if apart[2] else ""
+        rows.append(("visits to tell them apart", f"ppshw plan --after … --to-separate {apart[0]},{apart[1]}{at}"))
     seen = [
         r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
     ]
     for r in seen[:1]:
-        rows.append(("visible share", f"{r['share']:.1%}; found from {r['detectable_mm']:.3f} mm rms on"))
+        rows.append(("visible share", f"{100 * r['share']:.1f} %; found from {r['detectable_mm']:.3f} mm rms on"))
     return rows
 
 
@@ -214,10 +222,19 @@ def _whose(name: dict[str, Any]) -> str:
     return f"{name['effect'].replace('_', ' ')}{' of ' + name['joint'] if name['joint'] else ''}"
 
 
-def _value(p: dict[str, Any]) -> str:
-    spread = f" ± {abs(p['std']):.1g}" if p["std"] else ""
-    unit = "" if p["unit"] == "1" else f" {p['unit']}"
-    return f"{p['value']:.4g}{spread}{unit}".replace("-", "−")
+def value_of(p: dict[str, Any]) -> str:
+    """A parameter for the eye: lengths in mm or µm, angles in mrad or µrad, to the second digit of what is unsure."""
+    value, std, unit = float(p["value"]), abs(float(p["std"] or 0.0)), "" if p["unit"] == "1" else p["unit"]
+    if unit.split("/")[0] in ("m", "rad"):
+        factor, prefix = (1e3, "m") if max(abs(value), std) >= 1e-4 or value == std == 0.0 else (1e6, "µ")
+        value, std, unit = value * factor, std * factor, prefix + unit
+    largest = max(abs(value), std)
+    if std > 0.0 and 1e-3 <= largest < 1e6:
+        digits = max(0, 1 - math.floor(math.log10(std)))
+        text = f"{value:.{digits}f} ± {std:.{digits}f}" if digits <= 6 else f"{value:.4g} ± {std:.1g}"
+    else:
+        text = f"{value:.4g}" + (f" ± {std:.1g}" if std else "")
+    return f"{text} {unit}".strip().replace("-", "−")
 
 
 def _checks(checks: dict[str, list[dict[str, Any]]]) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:

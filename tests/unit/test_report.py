@@ -27,6 +27,7 @@ from ppshw.recording import Recording, columns_for, load_recording
 from ppshw.recording_file import RecordingFile
 from ppshw.report import build_report
 from ppshw.report.contents import read_folder
+from ppshw.report.diagnosis import value_of
 from ppshw.report.numbers import compute, fit
 from ppshw.report.page import headline
 from ppshw.report.tables import facts
@@ -469,3 +470,14 @@ def test_a_folder_with_nothing_to_report_on_says_what_was_expected(tmp_path: Pat
     with pytest.raises(ReportError, match=r"nothing to report on beside machine\.yaml, expected any of"):
         build_report(tmp_path)
     assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(("value", "std", "unit", "shown"), [
+    (2.496e-4, 4.5e-6, "m", "0.2496 ± 0.0045 mm"), (-3.21e-5, 1.2e-6, "m", "−32.1 ± 1.2 µm"),
+    (1.5e-3, 2e-4, "rad", "1.50 ± 0.20 mrad"), (8.1e-6, 4e-7, "m/K", "8.10 ± 0.40 µm/K"), (0.0, None, "m", "0 mm"),
+    (12.3456, 0.5, "kg", "12.35 ± 0.50 kg"), (0.66, None, "1", "0.66"), (2.5e-9, 1.1e-10, "1/K", "2.5e−09 ± 1e−10 1/K"),
+])  # fmt: skip
+def test_a_parameter_is_shown_in_the_field_s_units_to_what_is_known(
+    value: float, std: float | None, unit: str, shown: str
+) -> None:
+    assert value_of({"value": value, "std": std, "unit": unit}) == shown

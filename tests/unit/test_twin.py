@@ -207,7 +207,7 @@ def _diagnosed(rig: Rig) -> Diagnosis:
         "effect": "backlash", "joint": "vertical", "p_value": 1e-9, "weight": 0.98, "rms_mm": 0.08,
         "parameters": {"gap": {"value": 1.6e-4, "std": 1e-5, "unit": "m"}}, "sentence": "vertical lags behind.",
         "alternatives": [{"effect": "friction_hysteresis", "joint": "vertical", "weight": 0.02}],
-        "aliases": [{"effect": "clearance", "joint": "pitch"}],
+        "aliases": [{"effect": "clearance", "joint": "pitch", "alike": 0.92, "sqrt_lambda_apart": 2.0}],
     }  # fmt: skip
     answer = {
         "visits": VISITS, "noise_floor_mm": 0.05, "verdict": "missing_physics", "findings": [said],
@@ -274,3 +274,14 @@ def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     page = render(Diagnosis(answer | {"serial_correlation": 0.4}, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
     assert "scatter has 0.40 of that of the visit before.</p>" in page
     assert "What was found" not in page
+
+
+def test_a_sentence_names_the_three_checks_that_stand_out_most() -> None:
+    def one(about: str, observed: float, p: float, where: str | None = None) -> dict[str, object]:
+        return {"about": about, "observed": observed, "low": 1.0, "high": 3.0, "p": p, "where": where}
+
+    fine, odd = one("fine", 2.5, 0.3), [one("a", 4.0, 0.003), one("b", -9.0, 0.003, "yaw ty over time"),
+                                        one("c", 7.0, 0.005), one("d", 5.0, 0.005)]  # fmt: skip
+    assert sentence([fine, fine]) == "like its twin in all 2 checks"
+    assert sentence([fine, odd[0]]) == "unlike its twin in 1 of 2 checks: a"
+    assert sentence([fine, *odd]) == "unlike its twin in 4 of 5 checks, most in b (yaw ty over time); c; d"

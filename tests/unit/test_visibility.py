@@ -13,6 +13,7 @@ from campaigns.script import load_script
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.visibility import (
+    Alias,
     across,
     alias_words,
     aliases_of,
@@ -71,14 +72,33 @@ def test_an_effect_is_its_own_alias_and_a_different_place_is_none(tried: Tried) 
     own = [alike[k, tried.names.index(s.name)] for k, s in enumerate(seen) if np.isfinite(tried.log_share[s.form])]
     assert np.array(own) == pytest.approx(1.0, abs=0.02)  # one of its own forms is the form itself
     assert alike[[s.name for s in seen].index(("backlash", "yaw")), tried.names.index(("backlash", "lateral"))] < 0.2
-    assert ("backlash", "lateral") not in aliases_of(tried, ("backlash", "yaw"))
+    assert ("backlash", "lateral") not in [a.name for a in aliases_of(tried, ("backlash", "yaw"))]
 
 
 def test_friction_that_turns_within_a_small_part_of_the_travel_is_an_alias_of_backlash(tried: Tried) -> None:
-    assert ("friction_hysteresis", "pitch") in aliases_of(tried, ("backlash", "pitch"))
-    words = alias_words(("backlash", "roll"), [("friction_hysteresis", "roll"), ("creep", "yaw")])
-    assert words == " This recording cannot tell it from friction_hysteresis, creep of yaw."
-    assert alias_words(("backlash", "roll"), []) == ""
+    assert ("friction_hysteresis", "pitch") in [a.name for a in aliases_of(tried, ("backlash", "pitch"))]
+
+
+def test_the_louder_an_effect_the_farther_its_aliases_are_apart(tried: Tried) -> None:
+    sight = next(s for s in sights(tried) if s.name == ("backlash", "pitch"))
+    white = tried.space.whiten(displaced(tried, sight.form)[..., None])
+    of_one = np.sqrt(float(white[:, 0] @ tried.space.absorb(white)[:, 0]))
+    for loud in (7.0, 21.0):
+        found = aliases_of(tried, sight.name, sight.form, loud / of_one / tried.scale[tried.index[sight.form]])
+        assert ("friction_hysteresis", "pitch") in [a.name for a in found]
+        for alias in found:
+            assert alias.apart == pytest.approx(loud * np.sqrt(1.0 - alias.alike), rel=1e-3)
+
+
+def test_what_is_told_apart_is_said_otherwise_than_what_is_not() -> None:
+    name = ("backlash", "roll")
+    near = Alias(("friction_hysteresis", "roll"), 0.97, 1.4)
+    far = [Alias(("creep", "yaw"), 0.93, 12.3), Alias(("drift", None), 0.91, 15.0)]
+    assert alias_words(name, [near]) == " This recording cannot tell it from friction hysteresis."
+    said = " Nearly like it here, but told apart by 12 standard deviations: creep of yaw, drift."
+    assert alias_words(name, far) == said
+    assert alias_words(name, [far[0], near, far[1]]) == alias_words(name, [near]) + said
+    assert alias_words(name, []) == ""
 
 
 def test_the_share_said_is_what_the_base_model_leaves_with_the_strengths_that_it_learnt(tried: Tried) -> None:

@@ -8,7 +8,7 @@ import pytest
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.parameters import numbers_of
-from ppshw.diagnosis.wording import column_of, how_sure, sentence
+from ppshw.diagnosis.wording import column_of, how_sure, sentence, to_separate
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.progress import folded
@@ -86,3 +86,24 @@ def test_lost_motion_that_a_load_takes_up_is_said_with_what_is_left_of_it(contex
     unit = "mm" if str(taken_up.component).startswith("t") else "mrad"
     said = sentence(context, taken_up, np.array([-5e-5, 4e-5]), 1e-4)
     assert f"by 0.100 {unit} (0.020 {unit} at twice its mean load)" in said
+
+
+def of(effect: str, joint: str | None, **more: float) -> dict[str, object]:
+    return {"effect": effect, "joint": joint, **more}
+
+
+def test_visits_are_asked_for_where_a_finding_may_well_be_another_effect() -> None:
+    far, near = (of("friction_hysteresis", "yaw", alike=0.95, sqrt_lambda_apart=x) for x in (9.0, 2.0))
+    drift = of("drift", None, weight=0.3)
+    play = of("backlash", "yaw")
+
+    def asked(alternatives: list[object], aliases: list[object]) -> tuple[str, str, str | None] | None:
+        return to_separate({**play, "alternatives": alternatives, "aliases": aliases})
+
+    assert asked([], [far]) is None
+    assert asked([], [far, near]) == ("backlash", "friction_hysteresis", "yaw")
+    assert asked([of("nameless", None, weight=0.3)], []) is None
+    assert asked([of("drift", None, weight=0.05)], []) is None
+    assert asked([drift], [near]) == ("backlash", "drift", "yaw")
+    assert asked([of("backlash", "roll", weight=0.4)], []) is None  # no visits are planned for which joint it is
+    assert asked([of("creep", "roll", weight=0.4)], []) == ("backlash", "creep", None)
