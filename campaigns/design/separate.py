@@ -42,7 +42,7 @@ from ppshw.terms.shapes import Column, Context, Key
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-# Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis.md §9).
+# Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis-method.md §7).
 ENOUGH = 6.0
 FORMS = 8  # of each name
 TAIL = 12  # visits before a block that its history is computed from

@@ -2,7 +2,8 @@
 
 Each check is one number of the whitened residual, taken of the recording and of replicas that the model made itself
 (`replicas`), so that what the fit absorbs is in the null. Ranks are exact whatever the number's distribution. A model
-that is right fails one check in twenty at p = 0.05, by chance: fourteen to sixteen are made. docs/diagnosis.md §7.
+that is right fails one check in twenty at p = 0.05, by chance: fourteen to sixteen are made.
+docs/diagnosis-method.md §5.
 """
 
 from __future__ import annotations

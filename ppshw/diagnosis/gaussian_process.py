@@ -2,7 +2,7 @@
 
 Where it acts (frame, components), how large and how fast it changes is what makes the recording likeliest, base model
 and named findings integrated out (terms/gaussian_process.py has the function, docs/derivations.md §9 the equations).
-With unit-variance functions φ, the whitened Jacobian column u of every visit and P of docs/diagnosis.md §2,
+With unit-variance functions φ, the whitened Jacobian column u of every visit and P of docs/diagnosis-method.md §2,
 
     S = Σ φ uᵀ P y,   I = (uφ)ᵀ P (uφ),   ln evidence = ½ Sᵀ (σ⁻² + I)⁻¹ S − ½ ln det(1 + σ² I)
 

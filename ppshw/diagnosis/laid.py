@@ -5,7 +5,7 @@ with it are products with the function alone, and the function is all that is ke
 readings that it moves. With Z = whitened columns at unit rms, A = X Λ½ W whose columns are orthogonal with squared
 lengths s² (R⁻½ in X and Z), and G = (1 + s²)⁻½ Aᵀ Z,
 
-    Zᵀ V⁻¹ Z = Zᵀ Z − Gᵀ G                         V as in `workspace`; docs/diagnosis.md §2
+    Zᵀ V⁻¹ Z = Zᵀ Z − Gᵀ G                         V as in `workspace`; docs/diagnosis-method.md §2
 
 which is worked out in double precision, as the base model may take nearly all of a column. Functions themselves and G
 are kept in single precision.

@@ -3,7 +3,7 @@
 No effect of the catalogue is known here. The residual of every visit is read as a small displacement of each frame
 along each component (and of each pair of reflectors apart), and correlated with functions of each column, of pairs of
 joints and of short waves over a joint's travel. How strong a dependence is, replicas say (`replicas`): what a fit
-absorbs of it is then accounted for, and so is the number of things looked at. docs/diagnosis.md §8.
+absorbs of it is then accounted for, and so is the number of things looked at. docs/diagnosis-method.md §6.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 size that would be found, and what it could be taken for.
 
 A form with columns Z moves the reflectors by a field f, the sum of its columns at unit rms. Of its fᵀ R⁻¹ f the base
-model leaves the noncentrality λ = fᵀ V⁻¹ f (docs/diagnosis.md §2); the score along f is then √λ + N(0, 1). An effect
-is found when the evidence of its name reaches what a first finding needs. That evidence grows as a u² − b with the
+model leaves the noncentrality λ = fᵀ V⁻¹ f (docs/diagnosis-method.md §2); the score along f is then √λ + N(0, 1). An
+effect is found when the evidence of its name reaches what a first finding needs. That evidence grows as a u² − b with the
 score u, and b says what the name pays for the forms it tries; so the score needed is known, and 90 % are found from
 √λ = u + 1.28 on. λ is that of the search, with its freer prior strengths; shares are those of the base model itself,
 with the strengths that it learnt.
@@ -131,9 +131,10 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
 
 
 def least(tried: Tried) -> float:
-    """The evidence that a first finding needs: real odds, and more than noise alone reaches (docs/diagnosis.md §4).
+    """The evidence that a first finding needs: real odds, and more than noise alone reaches.
 
-    The search asks its own recording with random signs; here white noise is asked, before any residual.
+    The search asks its own recording with random signs (docs/diagnosis-method.md §4); here white noise is asked, before
+    any residual.
     """
     rng = np.random.default_rng(NOISE_DRAWS)
     chance = tried.by_name(evidence_alone(tried, tried.laid.of_noise(rng, NOISE_DRAWS).T)).max(axis=1)

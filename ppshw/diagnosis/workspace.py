@@ -4,7 +4,7 @@ With V = R + X Λ Xᵀ (noise and everything the base model may still mean), a c
 
     score  S = Zᵀ V⁻¹ y,    information  I = Zᵀ V⁻¹ Z,    V⁻¹ = R⁻¹ − R⁻¹X (XᵀR⁻¹X + Λ⁻¹)⁻¹ XᵀR⁻¹
 
-so that no candidate is credited with what the base model can explain. docs/diagnosis.md §2.
+so that no candidate is credited with what the base model can explain. docs/diagnosis-method.md §2.
 """
 
 from __future__ import annotations

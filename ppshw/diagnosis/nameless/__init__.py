@@ -10,7 +10,7 @@
 
 Any smooth function of columns, of their history, of loads and of time, at the frames that may move by it; what the
 force sensor, the reflectors and the instrument may do. A test that does not know the catalogue: what it finds is
-located by its columns. docs/diagnosis.md §1, step 3.
+located by its columns. docs/diagnosis-method.md §1.3.
 """
 
 from __future__ import annotations
