@@ -3,8 +3,8 @@ size that would be found, and what it could be taken for.
 
 A form with columns Z moves the reflectors by a field f, the sum of its columns at unit rms. Of its fᵀ R⁻¹ f the base
 model leaves the noncentrality λ = fᵀ V⁻¹ f (docs/diagnosis-method.md §2); the score along f is then √λ + N(0, 1). An
-effect is found when the evidence of its name reaches what a first finding needs. That evidence grows as a u² − b with the
-score u, and b says what the name pays for the forms it tries; so the score needed is known, and 90 % are found from
+effect is found when the evidence of its name reaches what a first finding needs. That evidence grows as a u² − b with
+the score u, and b says what the name pays for the forms it tries; so the score needed is known, and 90 % are found from
 √λ = u + 1.28 on. λ is that of the search, with its freer prior strengths; shares are those of the base model itself,
 with the strengths that it learnt.
 """
