@@ -81,6 +81,8 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
         more = _now(question, designer, numbers, lines)
         if more == 0:
             return Answer(numbers, lines, None)
+    elif question.accuracy is not None:
+        lines.append(f"asked for: 98.6 % within {1e3 * question.accuracy:.3g} mm")
     design = (
         designer.design(question.visits or NEXT, progress("design"))
         if question.accuracy is None

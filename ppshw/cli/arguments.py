@@ -13,6 +13,8 @@ import numpy as np
 
 from ppshw.errors import BadInput
 
+MOST_ACCURACY_M = 0.02  # what no large manipulator must be measured for
+
 
 def machine_of(a: argparse.Namespace) -> Any:
     """The machine file of that path, or the one of that name that comes with ppshw."""
@@ -75,6 +77,16 @@ def length(text: str) -> float:
     if found is None:
         raise ValueError
     return positive(found[1]) * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6, "m": 1.0, "": 1.0}[found[2]]
+
+
+def accuracy(text: str) -> float:
+    """A length that a machine may be asked to keep within; metres by mistake are refused."""
+    value = length(text)
+    if value > MOST_ACCURACY_M:
+        most = f"{1e3 * MOST_ACCURACY_M:g} mm"
+        raise argparse.ArgumentTypeError(f"{text} is {1e3 * value:g} mm, expected at most {most}, "
+                                         "such as 0.25mm")  # fmt: skip
+    return value
 
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m|)")

@@ -30,7 +30,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
-    from ppshw.diagnosis.wording import how_sure
+    from ppshw.diagnosis.wording import how_sure, unexplained
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -55,9 +55,7 @@ def diagnose(a: argparse.Namespace) -> None:
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
     lines += [f"  {f['sentence']} {how_sure(f)}" for f in answer["findings"]]
     if answer["unexplained"] is not None:
-        left = answer["unexplained"]
-        history = f" ({left['history']})" if left["history"] else ""
-        lines.append(f"  unexplained structure over {' and '.join(left['covariates'])}{history}")
+        lines.append(f"  {unexplained(answer['unexplained'])}")
     lines += [f"  {c['sentence']}" for c in answer["corrections"]]
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
@@ -90,6 +88,7 @@ def twin(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.checks import sentence
     from ppshw.evaluation import figures, residuals
+    from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import check_machine, parse_table, read_table
     from ppshw.twin import compare, simulate, twin_table
 
@@ -99,6 +98,7 @@ def twin(a: argparse.Namespace) -> None:
     table = read_table(a.rec)
     check_machine(table, machine)
     recording = parse_table(table, machine)
+    refuse_another_machine(machine, recording)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))
         checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ def identify(a: argparse.Namespace) -> None:
     import time
 
     from ppshw.calibration import Calibration
+    from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import figures, residuals
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
@@ -24,6 +26,9 @@ def identify(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
+    for mistake in plain_mistakes(machine, recording)[1]:
+        print(f"warning: {a.rec}: column {mistake.column} {mistake.what}; taken as it stands: set it right",
+              file=sys.stderr)  # fmt: skip
     began = time.perf_counter()
     with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
         estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
@@ -65,11 +70,13 @@ def identify(a: argparse.Namespace) -> None:
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.evaluation import evaluate as run
+    from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import load_recording
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
     recording = load_recording(a.rec, machine)
+    refuse_another_machine(machine, recording)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = run(recording, machine, calibration, refit_base=a.refit_base)
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])

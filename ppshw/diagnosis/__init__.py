@@ -192,7 +192,8 @@ def _answer(
     carried = carry(space, tried, found)
     answer = {
         "visits": len(space.recording),
-        "noise_floor_mm": _noise_floor(space),
+        # noise was learnt beside what a smooth function left of structure without a name; held-out visits had it too
+        "noise_floor_mm": min(_noise_floor(space), carried.after) if carried.corrections else _noise_floor(space),
         "verdict": "unexplained" if unexplained is not None else "missing_physics" if findings else "consistent",
         "findings": findings,
         "unexplained": unexplained,

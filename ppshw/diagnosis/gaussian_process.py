@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, eigh, solve_triangular
 
-from ppshw.diagnosis.wording import listed
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import Machine
 from ppshw.terms import COMPONENTS
@@ -59,12 +58,10 @@ class Correction:
 def in_words(columns: tuple[Column, ...], machine: Machine) -> str:
     """What a correction is, beside what it depends on."""
     a = columns[0].args
-    lengths = [f"changing over {length * spread:.3g}" for length, spread in zip(a["length"], a["spread"], strict=True)]
-    over = listed(list(zip(a["names"], lengths, strict=True)))
     moved = ", ".join(COMPONENTS[c] for c in a["components"])
     return (
-        f"a Gaussian process of {over} that moves {machine.frame_names[a['frame']]} {moved}, only where the recording "
-        "has data"
+        f"a smooth function (Gaussian process) that moves {machine.frame_names[a['frame']]} {moved}, only where the "
+        "recording has data; no axis is driven by it"
     )
 
 

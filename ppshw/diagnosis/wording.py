@@ -64,6 +64,15 @@ def how_sure(said: Mapping[str, Any]) -> str:
     return f"[weight {said['weight']:.2f}{''.join(others)}; p {how_rare(said['p_value'])}]"
 
 
+def unexplained(left: Mapping[str, Any]) -> str:
+    """For the terminal: structure without a name, where it goes on, how large and how sure."""
+    history = f" ({left['history']})" if left["history"] else ""
+    where = " ".join(filter(None, (left["frame"], left["component"])))
+    size = f"; {left['rms_mm']:.3f} mm rms at the reflectors" if left["rms_mm"] is not None else ""
+    return (f"something without a name goes on over {' and '.join(left['covariates'])}{history}"
+            f"{', read as ' + where if where else ''}{size} [p {how_rare(left['p_value'])}]")  # fmt: skip
+
+
 def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
     """Of a finding: its effect, another one that it may well be, and the joint where both are (None: at several), as
     `ppshw plan --to-separate` takes them; None where nothing is left to separate."""

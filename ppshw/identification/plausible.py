@@ -16,6 +16,7 @@ from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
+from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
 # A machine that misses a tenth of its working space, and more than 0.1 m, at the median is another machine or in other
@@ -46,6 +47,31 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
             "have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
         )
     return kept, np.asarray(gross.any(axis=1))
+
+
+def refuse_another_machine(machine: Machine, recording: Recording) -> None:
+    """Raise RecordingError where half of the readings are far from the ideal machine wherever it is put: another
+    machine, or in other units. Where the instrument stands does not count, as it may have been moved."""
+    seen = recording.seen
+    if not seen.any():
+        return
+    ideal = point_positions(machine, recording.q[:BLOCK], machine.target_array)
+    spread = float(np.sqrt(ideal.reshape(-1, 3).var(axis=0).sum()))
+    middle = misfit(machine, recording)
+    if middle > max(ANOTHER_MACHINE_M, ANOTHER_MACHINE * spread):
+        raise RecordingError(
+            f"{recording.source}: half of the targets are more than {middle:.3g} m from where '{machine.name}' has "
+            "them, wherever it is put; is it this machine, and are they in metres?"
+        )
+
+
+def misfit(machine: Machine, recording: Recording) -> float:
+    """Middle distance [m] between what was measured and the ideal machine, laid upon each other as rigid bodies."""
+    seen = recording.seen
+    ideal = point_positions(machine, recording.q, machine.target_array)[seen]
+    measured = recording.points[seen]
+    laid = fit_rigid(measured, ideal)
+    return float(np.median(np.linalg.norm(measured @ laid[:3, :3].T + laid[:3, 3] - ideal, axis=1)))
 
 
 def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
 from ppshw.diagnosis.visibility import TOLD_APART
-from ppshw.diagnosis.wording import how_rare, to_separate
+from ppshw.diagnosis.wording import how_rare, listed, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
 from ppshw.report import residuals
@@ -33,6 +33,7 @@ VERDICTS = {
     "missing_physics": "The model leaves something out, and what it is has names.",
     "unexplained": "The model leaves something out that no known effect explains.",
 }
+HARDLY = 1.01  # structure without a name that takes less of the residual than this has no picture, unless it is all
 MOST_ROWS = 60  # of the table of what can be seen
 
 
@@ -128,7 +129,11 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
     gradient = gradients(compared)
     whole = _rms(space)
     out = []
-    for f, candidate in diagnosis.found:
+    sizes = [_rms(space, f, candidate) for f, candidate in diagnosis.found]
+    unnamed = [size for (_, k), size in zip(diagnosis.found, sizes, strict=True) if k.effect == "nameless"]
+    for (f, candidate), without in zip(diagnosis.found, sizes, strict=True):
+        if candidate.effect == "nameless" and without < min(HARDLY * whole, max(unnamed)):
+            continue
         displaced = _displaced(space, f, candidate)[space.fit]
         which = _channel(compared, gradient, located.channels, candidate, displaced)
         reading = residuals.read(compared, located.channels, which, displaced)
@@ -144,7 +149,8 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
             reading, label, x, units, fitted, f"Partial residual and fitted curve, {reading.channel.frame} "
             f"{reading.channel.component}",
         )  # fmt: skip
-        out.append(Shown(title, said, _rms(space, f, candidate), whole, _rows(diagnosis, said), picture))
+        rows = _rows(diagnosis, said) if named else _rows_of_unnamed(diagnosis, candidate)
+        out.append(Shown(title, said, without, whole, rows, picture))
     return out
 
 
@@ -191,13 +197,7 @@ def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:
 
 def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, str]]:
     if said is None:
-        left = diagnosis.answer["unexplained"]
-        rows = [] if left is None else [("depends on", " and ".join(left["covariates"]))]
-        for c in diagnosis.answer.get("corrections", []):
-            how = f"a Gaussian process of {' and '.join(c['length'])}" if c["length"] else "it was, held at its end"
-            where = " ".join(filter(None, (c["frame"], ", ".join(c["components"]))))
-            rows.append(("carried as", f"{how}: {where}"))
-        return rows or [("carried", "not by a calibration")]
+        return []
     rows = [("p, family-wise", how_rare(said["p_value"])), ("weight of the name", f"{said['weight']:.3f}")]
     rows += [(name.replace("_", " "), value_of(p)) for name, p in said["parameters"].items()][:8]
     others = [f"{_whose(a)} ({a['weight']:.3f})" for a in said["alternatives"]]
@@ -215,6 +215,18 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
     for r in seen[:1]:
         rows.append(("visible share", f"{100 * r['share']:.1f} %; found from {r['detectable_mm']:.3f} mm rms on"))
     return rows
+
+
+def _rows_of_unnamed(diagnosis: Diagnosis, candidate: Candidate) -> list[tuple[str, str]]:
+    by = stand_ins(diagnosis.space.context, candidate)
+    rows = [("depends on", listed(by))]
+    columns = {column for column, _ in by}
+    for c in diagnosis.answer.get("corrections", []):
+        if columns & set(c["covariates"]):
+            how = f"a Gaussian process of {' and '.join(c['length'])}" if c["length"] else "it was, held at its end"
+            where = " ".join(filter(None, (c["frame"], ", ".join(c["components"]))))
+            rows.append(("carried as", f"{how}: {where}"))
+    return rows if len(rows) > 1 else [*rows, ("carried", "not by a calibration")]
 
 
 def _whose(name: dict[str, Any]) -> str:

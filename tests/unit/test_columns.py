@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.columns import column_mistakes
+from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
@@ -16,7 +16,7 @@ from simulators.concealed.case import make_case
 @pytest.fixture(scope="module", params=["pps", "arm6"])
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Machine, Recording]:
     out = tmp_path_factory.mktemp("case")
-    make_case(11, request.param, "null", 0.0, out, tmp_path_factory.mktemp("sealed"), 60, 60)
+    make_case(11, request.param, "null", 0.0, out, tmp_path_factory.mktemp("sealed"), 200, 200)
     machine = load_machine(out / "machine.yaml")
     return machine, load_recording(out / "recording.csv", machine)
 
@@ -53,6 +53,38 @@ def test_the_reaction_instead_of_the_payload(case: tuple[Machine, Recording]) ->
     mended, found = column_mistakes(machine, replace(recording, wrench=-recording.wrench))
     assert [m.column for m in found] == ["Fx … Mz"]
     assert np.array_equal(mended.wrench, recording.wrench)
+
+
+def test_all_reflectors_in_millimetres(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    mended, found = column_mistakes(machine, replace(recording, points=1000.0 * recording.points))
+    names = recording.target_names
+    assert [(m.column, m.factor) for m in found] == [(f"{names[0]}_x … {names[-1]}_z", 1e-3)]
+    assert np.allclose(mended.points, recording.points, equal_nan=True)
+
+
+@pytest.mark.parametrize("columns", [(0, 1, 2), (3, 4, 5)])
+def test_forces_or_moments_alone_with_the_opposite_sign(case: tuple[Machine, Recording], columns: tuple[int]) -> None:
+    machine, recording = case
+    wrench = recording.wrench.copy()
+    wrench[:, columns] *= -1
+    mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
+    assert [(m.column, m.factor) for m in found] == [("Fx … Fz" if columns[0] == 0 else "Mx … Mz", -1.0)]
+    assert np.array_equal(mended.wrench, recording.wrench)
+
+
+def test_forces_in_kilonewtons_beside_newton_metres(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    wrench = recording.wrench * np.repeat([1e-3, 1.0], 3)
+    mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
+    assert [(m.column, m.factor) for m in found] == [("Fx … Fz", 1e3)]
+    assert np.allclose(mended.wrench, recording.wrench)
+
+
+def test_without_a_fit_the_moments_sign_is_not_asked(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    _, found = plain_mistakes(machine, replace(recording, wrench=-recording.wrench))
+    assert [m.column for m in found] == ["Fx … Fz"]
 
 
 def test_one_moment_with_the_opposite_sign(case: tuple[Machine, Recording]) -> None:
