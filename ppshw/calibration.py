@@ -193,9 +193,10 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     try:
         made_for, made_from = data["provenance"]["machine_name"], data["provenance"]["machine_sha256"]
         if made_from != machine.sha256:
+            changed = "; the file has changed since, identify again" if made_for == machine.name else ""
             raise CalibrationError(
                 f"{path}: made for machine '{made_for}' (file {made_from[:12]}), "
-                f"not for '{machine.name}' ({machine.file}, {machine.sha256[:12]})"
+                f"not for '{machine.name}' ({machine.file}, {machine.sha256[:12]}){changed}"
             )
         if data.get("content_sha256") != content_digest(data):
             raise ValueError("the content does not match its content_sha256; was it edited by hand?")

@@ -13,8 +13,6 @@ import numpy as np
 
 from ppshw.errors import BadInput
 
-MOST_ACCURACY_M = 0.02  # what no large manipulator must be measured for
-
 
 def machine_of(a: argparse.Namespace) -> Any:
     """The machine file of that path, or the one of that name that comes with ppshw."""
@@ -72,24 +70,14 @@ def count(text: str) -> int:
 
 
 def length(text: str) -> float:
-    """A length with its unit (mm, um, µm, m), or metres."""
+    """A length with its unit (mm, um, µm, m): without one, metres were meant by nobody."""
     found = _LENGTH.fullmatch(text.strip())
     if found is None:
         raise ValueError
-    return positive(found[1]) * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6, "m": 1.0, "": 1.0}[found[2]]
+    return positive(found[1]) * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6, "m": 1.0}[found[2]]
 
 
-def accuracy(text: str) -> float:
-    """A length that a machine may be asked to keep within; metres by mistake are refused."""
-    value = length(text)
-    if value > MOST_ACCURACY_M:
-        most = f"{1e3 * MOST_ACCURACY_M:g} mm"
-        raise argparse.ArgumentTypeError(f"{text} is {1e3 * value:g} mm, expected at most {most}, "
-                                         "such as 0.25mm")  # fmt: skip
-    return value
-
-
-_LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m|)")
-length.__name__ = "length such as 0.25mm"
+_LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m)")
+length.__name__ = "length such as 0.25mm, unit included,"
 positive.__name__, seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
 count.__name__ = "number of 1 or more"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from ppshw import __version__
-from ppshw.cli.arguments import accuracy, count, positive, seed
+from ppshw.cli.arguments import count, length, positive, seed
 from ppshw.cli.diagnosing import diagnose, report, twin
 from ppshw.cli.fit import evaluate, identify
 from ppshw.cli.planning import plan
@@ -78,7 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--joint", metavar="J", help="with --to-separate: at this joint only (default: at every joint)")
     g = p.add_argument_group("design of a new campaign: what to measure for the least error at a point")
     g.add_argument("--visits", type=count, metavar="N", help="of that many visits, reference visits counted")
-    g.add_argument("--accuracy", type=accuracy, metavar="X", help="with this predicted 98.6 %%, noise included: 0.25mm")
+    g.add_argument("--accuracy", type=length, metavar="X", help="with this predicted 98.6 %%, noise included: 0.25mm")
     g.add_argument("--after", metavar="REC", help="go on after this recording: what to measure next, when to stop")
     g.add_argument("--out", metavar="CAMPAIGN.yaml", help="the script to write")
     g.add_argument("--calibration", metavar="CAL.json", help="believe the prior strengths and the noise learnt there")
@@ -150,7 +150,9 @@ def build_parser() -> argparse.ArgumentParser:
             _reset_faults(p)
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
-    p.add_argument("dir", metavar="DIR")
+    p.add_argument("dir", metavar="DIR",
+                   help="machine.yaml, and what there is of calibration.json, campaign.db, diagnosis.json, "
+                   "verification_nominal.db, verification_compensated.db, repeatability.db")  # fmt: skip
 
     about = "locate, name and model what the model leaves unexplained in a recording"
     p = commands.add_parser("diagnose", help=about, description=f"{about[0].upper()}{about[1:]}.")

@@ -69,6 +69,8 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
+    if not payload.any():
+        lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
     return machine, answer, folded(lines)
 

@@ -150,7 +150,8 @@ def test_what_is_carried_is_found_at_its_place_and_marked(rig: Rig) -> None:
     assert said["effect"] == "unexplained"
     assert said["covariates"] == ["q_" + rig.machine.joint_names[0]]
     assert said["history"] == "of the pose before"
-    assert "is carried without a name, as a Gaussian process of previous_q_lateral" in said["sentence"]
+    assert "q_lateral (of the pose before) is carried without a name" in said["sentence"]
+    assert list(said["length"]) == ["previous_q_lateral"]
     (effect,) = rig.calibration.effects
     assert effect.name == "unexplained"
     assert "without a name" in effect.sentence
