@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ppshw.diagnosis.columns import Mistake
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.parameters import numbers_of
@@ -100,6 +101,7 @@ def test_visits_are_asked_for_where_a_finding_may_well_be_another_effect() -> No
     def asked(alternatives: list[object], aliases: list[object]) -> tuple[str, str, str | None] | None:
         return to_separate({**play, "alternatives": alternatives, "aliases": aliases})
 
+    assert to_separate(Mistake("Fx", -1.0, "has the opposite sign", 1.0, 0.1).finding()) is None
     assert asked([], [far]) is None
     assert asked([], [far, near]) == ("backlash", "friction_hysteresis", "yaw")
     assert asked([of("nameless", None, weight=0.3)], []) is None
