@@ -103,6 +103,17 @@ def test_directions_that_nobody_wrote_down_are_those_of_the_moves_between_visits
     assert {"backlash", "friction_hysteresis"} <= effects(answered(case, tmp_path))
 
 
+def test_a_wrong_visit_and_a_wrong_column_are_said(case: Case, tmp_path: Path) -> None:
+    for row in case.rows[1:]:
+        for name in ("Fx", "Fy", "Fz"):
+            row[case.column(name)] = str(-float(row[case.column(name)]))
+    for target in ("P1", "P2", "P3"):
+        at = case.column(f"{target}_z")
+        case.rows[40][at] = str(float(case.rows[40][at]) + 0.03)
+    said = {f["effect"] for f in answered(case, tmp_path)["findings"]}
+    assert {"column_mistake", "outliers"} <= said
+
+
 def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Case, tmp_path: Path) -> None:
     case.machine.setdefault("tracker", {})["base"] = "estimate"
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
