@@ -8,6 +8,7 @@ those that can be known when a setpoint is computed are taken out (terms/at_hand
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,6 +256,10 @@ class Corrections:
     def said(self) -> list[tuple[Verdict, int]]:
         """What became of every effect, each reason for itself, and at how many of the setpoints until now."""
         return list(self._said.values())
+
+    def as_dicts(self, taken_out: bool) -> list[dict[str, Any]]:
+        """The same for an answer: of those that were taken out, or of those that were not."""
+        return [{**v.as_dict(), "visits": n} for v, n in self.said if v.taken_out == taken_out]
 
     def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
         payload = payload_at(self._compensator.machine, wrench, here, wanted)

@@ -119,7 +119,6 @@ def run_concealed(
             errors = {row: point_errors(r, machine, POINT) for row, r in recordings.items()}
             (out / "truth.json").write_bytes(hardware.carried.truth)
             truth = json.loads(hardware.carried.truth)
-        verdicts = [verdict for verdict, _ in corrected.said]
         instrument = {row: _without_instrument(more, r, errors[row]) for row, r in recordings.items()}
         answer: dict[str, Any] = {
             "seal": hardware.carried.seal,
@@ -133,8 +132,8 @@ def run_concealed(
             **_compared(truth, found.answer["findings"]),
             **{row: figures(e) for row, e in errors.items()},
             "instrument_corrected": {row: figures(e) for row, e in instrument.items() if e is not None},
-            "taken_out": [v.as_dict() for v in verdicts if v.taken_out],
-            "not_compensated": [v.as_dict() for v in verdicts if not v.taken_out],
+            "taken_out": corrected.as_dicts(True),
+            "not_compensated": corrected.as_dicts(False),
             "visits": len(recording),
             "verification_visits": len(before),
             "diagnose_seconds": round(diagnose_s, 1),
@@ -198,7 +197,7 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
         for v in verdicts:
             joint = f" of {v['joint']}" if v["joint"] else ""
             why = f": {v['why']}" if v["why"] else ""
-            lines.append(f"{what}: {v['effect']}{joint}{why}")
+            lines.append(f"{what}, {v['visits']} visits: {v['effect']}{joint}{why}")
     seen = f"at the treatment point, {answer['verification_visits']} configurations that no fit has seen [mm]"
     if answer["instrument_corrected"]:
         lines.append("* readings corrected for what the instrument is found to err")

@@ -14,7 +14,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.at_hand import BEYOND_C
+from ppshw.terms.at_hand import is_beyond
 from ppshw.terms.effect import UNNAMED, displacement
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
@@ -100,12 +100,11 @@ def evaluate(
 
 def _beyond(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
     """Per place whose temperature moves an effect: its range while that was measured, and the visits beyond it."""
-    places = {str(c.args["place"]): None for e in calibration.effects for c in e.columns if c.args.get("place")}
+    moving = {place for effect in calibration.effects for place in effect.places}
     out = []
-    for place in places:
-        low, high = calibration.temperature_range.get(place, (-np.inf, np.inf))
+    for place, (low, high) in calibration.temperature_range.items():
         here = recording.temperatures.get(place, np.zeros(0))
-        visits = int(((here < low - BEYOND_C) | (here > high + BEYOND_C)).sum())
-        if visits:
+        visits = int(is_beyond(here, low, high).sum())
+        if place in moving and visits:
             out.append({"temperature": place, "low_C": low, "high_C": high, "visits": visits})
     return out

@@ -70,15 +70,14 @@ def diagnose(a: argparse.Namespace) -> None:
 
 def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:
     """The commands that write visits by which findings would be told from what they may well be; to be copied."""
-    from ppshw.diagnosis.wording import to_separate
+    from ppshw.diagnosis.wording import plan_options, to_separate
 
     lines: list[str] = []
     for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
-        at = f" --joint {shlex.quote(joint)}" if joint else ""
         lines += [
             f"visits that would tell {one} from {other}{' of ' + joint if joint else ''}:",
             f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
-            f"    --to-separate {one},{other}{at} --out next.yaml",
+            f"    {plan_options(one, other, joint)} --out next.yaml",
         ]
     return lines
 

@@ -26,9 +26,6 @@ def identify(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
-    for mistake in plain_mistakes(machine, recording)[1]:
-        print(f"warning: {a.rec}: column {mistake.column} {mistake.what}; taken as it stands: set it right",
-              file=sys.stderr)  # fmt: skip
     began = time.perf_counter()
     with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
         estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
@@ -36,6 +33,9 @@ def identify(a: argparse.Namespace) -> None:
     told = tuple(each.as_dict(machine) for each in ambiguous)
     calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=told)
     calibration.save(out)
+    for mistake in plain_mistakes(machine, recording)[1]:
+        print(f"warning: {a.rec}: column {mistake.column} {mistake.what}; taken as it stands: set it right",
+              file=sys.stderr)  # fmt: skip
     fit = figures(residuals(recording, calibration))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {

@@ -40,10 +40,8 @@ def run(a: argparse.Namespace) -> None:
               "skipped": result.skipped, "lost_beams": result.lost_beams}  # fmt: skip
     lines = [f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all"]
     if correct is not None:
-        said = correct.said
-        answer["compensated"] = [{**v.as_dict(), "visits": n} for v, n in said if v.taken_out]
-        answer["not_compensated"] = [{**v.as_dict(), "visits": n} for v, n in said if not v.taken_out]
-        lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in said]
+        answer |= {"compensated": correct.as_dicts(True), "not_compensated": correct.as_dicts(False)}
+        lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in correct.said]
     say(a, answer, folded(lines))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -83,6 +84,11 @@ def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
             same = rival["joint"] in (None, said["joint"])
             return said["effect"], rival["effect"], said["joint"] if same else None
     return None
+
+
+def plan_options(one: str, other: str, joint: str | None) -> str:
+    """What `ppshw plan` is to be told, to write the visits that separate two effects."""
+    return f"--to-separate {one},{other}" + (f" --joint {shlex.quote(joint)}" if joint else "")
 
 
 def how_rare(p: float) -> str:

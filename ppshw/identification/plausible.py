@@ -40,8 +40,7 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
         if (gross == (recording.seen & ~kept.seen)).all():
             break
         kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
-    spread = float(np.sqrt(ideal.reshape(-1, 3).var(axis=0).sum()))
-    if median > max(ANOTHER_MACHINE_M, ANOTHER_MACHINE * spread):
+    if _another_machine(median, ideal):
         raise RecordingError(
             f"{recording.source}: half of the targets are more than {median:.3g} m from where '{machine.name}' should "
             "have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
@@ -52,13 +51,11 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
 def refuse_another_machine(machine: Machine, recording: Recording) -> None:
     """Raise RecordingError where half of the readings are far from the ideal machine wherever it is put: another
     machine, or in other units. Where the instrument stands does not count, as it may have been moved."""
-    seen = recording.seen
-    if not seen.any():
+    if not recording.seen.any():
         return
-    ideal = point_positions(machine, recording.q[:BLOCK], machine.target_array)
-    spread = float(np.sqrt(ideal.reshape(-1, 3).var(axis=0).sum()))
-    middle = misfit(machine, recording)
-    if middle > max(ANOTHER_MACHINE_M, ANOTHER_MACHINE * spread):
+    size, ideal = _missed_anywhere(machine, recording)
+    middle = float(np.median(size))
+    if _another_machine(middle, ideal):
         raise RecordingError(
             f"{recording.source}: half of the targets are more than {middle:.3g} m from where '{machine.name}' has "
             "them, wherever it is put; is it this machine, and are they in metres?"
@@ -67,11 +64,22 @@ def refuse_another_machine(machine: Machine, recording: Recording) -> None:
 
 def misfit(machine: Machine, recording: Recording) -> float:
     """Middle distance [m] between what was measured and the ideal machine, laid upon each other as rigid bodies."""
-    seen = recording.seen
-    ideal = point_positions(machine, recording.q, machine.target_array)[seen]
-    measured = recording.points[seen]
+    return float(np.median(_missed_anywhere(machine, recording)[0]))
+
+
+def _another_machine(middle: float, ideal: Array) -> bool:
+    """Whether half of the readings being so far off [m] is too much, for targets that move over `ideal` (…, 3)."""
+    spread = float(np.sqrt(ideal.reshape(-1, 3).var(axis=0).sum()))
+    return middle > max(ANOTHER_MACHINE_M, ANOTHER_MACHINE * spread)
+
+
+def _missed_anywhere(machine: Machine, recording: Recording) -> tuple[Array, Array]:
+    """How far each reading is from the ideal machine (R,) [m], one laid upon the other as a rigid body; (R, 3) the
+    ideal."""
+    ideal = point_positions(machine, recording.q, machine.target_array)[recording.seen]
+    measured = recording.points[recording.seen]
     laid = fit_rigid(measured, ideal)
-    return float(np.median(np.linalg.norm(measured @ laid[:3, :3].T + laid[:3, 3] - ideal, axis=1)))
+    return np.linalg.norm(measured @ laid[:3, :3].T + laid[:3, 3] - ideal, axis=1), ideal
 
 
 def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
 from ppshw.diagnosis.visibility import TOLD_APART
-from ppshw.diagnosis.wording import how_rare, listed, stand_ins, to_separate
+from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
 from ppshw.report import residuals
@@ -207,8 +207,7 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
     rows.append(("not to be told from", ", ".join(map(_whose, close)) or "nothing here"))
     rows += [("nearly like it", ", ".join(far))] if far else []
     if apart := to_separate(said):
-        at = f" --joint {apart[2]}" if apart[2] else ""
-        rows.append(("visits to tell them apart", f"ppshw plan --after … --to-separate {apart[0]},{apart[1]}{at}"))
+        rows.append(("visits to tell them apart", f"ppshw plan --after … {plan_options(*apart)}"))
     seen = [
         r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
     ]

@@ -120,15 +120,11 @@ class KnownEffects:
         lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
         if lag > 0 and not any(m.temperatures for m in past.moments):
             reserve.append(f"lags by {lag:g} h: taken as steady")
-        places = {str(c.args["place"]): None for c in effect.columns if c.args.get("place")}
-        return True, "; ".join([*reserve, *(said for p in places if (said := self._beyond(p, now)))])
-
-    def _beyond(self, place: str, now: Moment) -> str:
-        """That a thermometer stands where it never stood while the effect was measured; nothing where it did."""
-        low, high = self._seen_between.get(place, (-math.inf, math.inf))
-        if low - BEYOND_C <= now.temperatures[place] <= high + BEYOND_C:
-            return ""
-        return f"{place} is beyond the {low:.1f} to {high:.1f} °C at which it was measured; carried on as it was"
+        for place, (low, high) in self._seen_between.items():
+            if place in effect.places and is_beyond(np.asarray(now.temperatures[place]), low, high):
+                how = f"the {low:.1f} to {high:.1f} °C at which it was measured"
+                reserve.append(f"{place} is beyond {how}; carried on as it was")
+        return True, "; ".join(reserve)
 
     # --- what they do --------------------------------------------------------------------------------------
     def errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
@@ -242,7 +238,7 @@ class KnownEffects:
     def _as_recording(self, moments: Sequence[Moment], time: Array) -> Recording:
         machine, count = self.machine, len(moments)
         temperatures = {}
-        for place in {str(c.args["place"]) for e in self.effects for c in e.columns if c.args.get("place")}:
+        for place in {p for e in self.effects for p in e.places}:
             mean = self._reference.get(f"mean.{place}", 0.0)
             now = moments[-1].temperatures.get(place, mean)
             known = place in moments[-1].temperatures
@@ -301,6 +297,11 @@ class KnownEffects:
         put_on = replace(now, load="now", time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
         return replace(past, known=seconds is not None)
+
+
+def is_beyond(here: Array, low: float, high: float) -> NDArray[np.bool_]:
+    """Whether thermometers stand where they never stood while an effect was measured, low to high [°C]."""
+    return np.asarray((here < low - BEYOND_C) | (here > high + BEYOND_C))
 
 
 def _mean_bump(column: Column) -> float:

@@ -29,6 +29,11 @@ class Effect:
     std: tuple[float, ...]
     sentence: str
 
+    @property
+    def places(self) -> list[str]:
+        """The places whose temperature it goes by, each once."""
+        return list(dict.fromkeys(str(c.args["place"]) for c in self.columns if c.args.get("place")))
+
     def as_dict(self) -> dict[str, Any]:
         return {
             "effect": self.name, "joint": self.joint, "sentence": self.sentence,

@@ -207,6 +207,56 @@ def test_a_csv_recording_that_cannot_be_used(desk: Path, case: str) -> None:
         assert expected in line
 
 
+def times(factor: float, *columns: str) -> Spoil:
+    """Whole columns of a recording in another unit, or of the other sign."""
+
+    def spoil(path: Path) -> None:
+        header, *rows = (line.split(",") for line in path.read_text(encoding="utf-8").splitlines())
+        for row in rows:
+            for k in (header.index(name) for name in columns):
+                row[k] = repr(factor * float(row[k]))
+        path.write_text("".join(",".join(row) + "\n" for row in (header, *rows)), encoding="utf-8")
+
+    return spoil
+
+
+REFLECTORS = [f"P{k}_{axis}" for k in (1, 2, 3) for axis in "xyz"]
+
+
+def test_a_recording_in_millimetres_is_judged_by_no_command(desk: Path) -> None:
+    times(1000.0, *REFLECTORS)(desk / "good.csv")
+    rec, given = desk / "good.csv", ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json"]
+    for words in (["evaluate", rec, *given], ["twin", rec, *given, "--out", desk / "twin.csv", "--seed", "1"],
+                  ["identify", rec, *given[:2], "--out", desk / "new.json"]):  # fmt: skip
+        line = refused(desk, *words)
+        assert str(rec) in line
+        assert "are they in metres" in line
+
+
+def test_an_instrument_that_was_moved_is_no_other_machine(desk: Path) -> None:
+    machine, cal = desk / "machine.yaml", desk / "cal.json"
+    times(1.0, *REFLECTORS)(desk / "good.csv")  # as it was, every number written anew
+    rows = [line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines()]
+    for row in rows[1:]:
+        for k in (rows[0].index(f"P{k}_x") for k in (1, 2, 3)):
+            row[k] = repr(float(row[k]) + 50.0)
+    (desk / "moved.csv").write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+    for words in ([], ["--refit-base"]):
+        said = ppshw("evaluate", desk / "moved.csv", "--machine", machine, "--calibration", cal, "--json", *words)
+        assert said.code == 0
+        assert (json.loads(said.out)["rms_mm"] < 1.0) == bool(words)
+
+
+def test_identify_warns_of_forces_that_lift_their_payload_and_goes_on(desk: Path) -> None:
+    said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "as_is.json")
+    assert (said.code, said.err) == (0, "")
+    times(-1.0, "Fx", "Fy", "Fz")(desk / "good.csv")
+    said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
+    assert said.code == 0
+    assert said.err == (f"warning: {desk / 'good.csv'}: column Fx … Fz has the opposite sign; taken as it stands: "
+                        "set it right\n")  # fmt: skip
+
+
 def sql(*statements: str) -> Spoil:
     def spoil(path: Path) -> None:
         db = sqlite3.connect(path)

@@ -94,7 +94,7 @@ def test_what_is_asked_wrongly_is_answered_in_one_line(
     assert not list(desk.glob("*.part"))
 
 
-@pytest.mark.parametrize("text", ["0.25 parsec", "-1mm", "0mm", "mm", "1e-4mmm"])
+@pytest.mark.parametrize("text", ["0.25", "0.25 parsec", "-1mm", "0mm", "mm", "1e-4mmm"])
 def test_a_length_without_sense_is_refused(desk: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["plan", f"--accuracy={text}", "--machine", "m.yaml", "--out", "a.yaml"])
