@@ -359,6 +359,8 @@ def _read_csv(path: Path) -> Table:
     lines: list[int] = []
     try:
         header = tuple(next(reader, ()))
+        if len(header) == 1 and (separator := next((c for c in ";\t|" if c in header[0]), "")):
+            raise RecordingError(f"{path}:1: columns are separated by {separator!r}, expected ',' (and decimal points)")
         for row in reader:
             if not row:
                 continue

@@ -181,6 +181,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a column twice": (swap("q_cmd_turn", "q_cmd_rail"), ":1: column 5 is twice here: q_cmd_rail"),
     "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
     "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
+    "semicolons between columns": (swap(",", ";", -1), ":1: columns are separated by ';', expected ','"),
     "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
     "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
     "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),
