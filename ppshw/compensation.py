@@ -46,7 +46,8 @@ class Bounds:
 @dataclass(frozen=True)
 class Setpoints:
     """corrected and nominal (n,) [m, rad]; predicted_error (3,) of the point without correction, base axes [m];
-    std (3,) of the point's position after correction: model's uncertainty [m]; approach (n,) the direction that every
+    std (3,) of the point's position after correction [m]: the model's uncertainty, and what effects may do by what is
+    not known; approach (n,) the direction that every
     joint comes from by, as far as known; effects: what a diagnosis had found, taken out or not, and why."""
 
     corrected: Array
@@ -196,7 +197,8 @@ class Compensator:
             return np.asarray(positions[0, 0]), np.zeros(3)
         columns, std = self.known.column_errors(now, past, base, wrenches)
         jacobian = point_jacobian(chain, positions, errors)[0, 0]
-        moved = np.einsum("ifc,kfc->ki", jacobian, columns) * std[:, None]
+        spread = np.concatenate([columns * std[:, None, None], self.known.unknown(now, past, base, wrenches)])
+        moved = np.einsum("ifc,kfc->ki", jacobian, spread)
         return np.asarray(positions[0, 0]), np.asarray((moved**2).sum(axis=0))
 
     def _refuse_outside(self, q: Array, payload: Array) -> None:

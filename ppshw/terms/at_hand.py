@@ -9,7 +9,7 @@ must not be driven into it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -23,7 +23,7 @@ from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect
-from ppshw.terms.past import Moment, Past
+from ppshw.terms.past import Moment, Past, Signs
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -42,6 +42,7 @@ BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before 
 SAME = 5e-3  # [m, rad]
 BEYOND_C = 0.1  # what thermometers of a hall read one another apart
 GRID = 33  # moments over which a drift is averaged
+EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anything in it
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
 
@@ -154,6 +155,55 @@ class KnownEffects:
         std = np.array([s for _, _, s in columns] + [1.0] * len(more))
         return np.concatenate([out, np.array(more).reshape(-1, *base.shape[1:])]), std
 
+    def unknown(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
+        """What else the effects may do by what is not known at `now`: (k, n+1, 6) [m, rad], the sum of whose squares is
+        the variance that this brings to any displacement.
+
+        From which side a joint comes is either, a temperature anything that was measured, a load as old as any; what
+        goes by the clock is where it was at any moment of the recording, and may be farther off since.
+        """
+        out = self._at_any_moment(self._context(now, past, base, wrenches))
+        for ways in self._ways(now, past):
+            each = np.concatenate([self.errors(then, before, base, wrenches) for then, before in ways])
+            out.append((each - each.mean(axis=0)) / np.sqrt(len(ways)))
+        return np.concatenate(out) if out else np.zeros((0, *base.shape[1:]))
+
+    def _ways(self, now: Moment, past: Past) -> Iterator[list[tuple[Moment, Past]]]:
+        """Of each thing that effects ask for and nobody knows, what it may as well be."""
+        columns = [c for e in self.effects for c in e.columns if c.on != "points"]
+        sides = {int(c.args.get("joint") or 0) for c in columns if c.function in FROM_APPROACH}
+        for joint in sorted(j for j in sides if now.approach[j] == 0):
+            yield [(replace(now, approach=_with(now.approach, joint, side)), past) for side in (-1, 1)]
+        places = {str(c.args["place"]) for c in columns if c.args.get("place")}
+        for place in sorted(places - set(now.temperatures)):
+            low, high = self._seen_between.get(place, (math.nan, math.nan))
+            if math.isfinite(high - low):
+                felt = [{**now.temperatures, place: low + share * (high - low)} for share in EVENLY]
+                yield [(replace(now, temperatures=each), past) for each in felt]
+        if self._creeps and not past.known:
+            hours = self._reference.get("hours", 0.0)
+            yield [(now, self.loaded_for(now, 3600.0 * age)) for age in (0.0, min(UNSAID_H, hours), hours)]
+
+    def _at_any_moment(self, context: Context) -> list[Array]:
+        """Deviations of what goes by the clock from its mean over the recording, per moment."""
+        each = np.zeros((GRID, self.machine.n + 1, 6))
+        for effect in self.effects:
+            for column, value in zip(effect.columns, effect.values, strict=True):
+                stays = effect.name == "zero_shift" and column.function != "hopping"
+                if column.on == "points" or not _by_clock(column) or stays or column.args.get("form") in BEFORE_IT:
+                    continue
+                for at, size in zip(each, self._over_time(column, context), strict=True):
+                    if column.on == "frame":
+                        at[column.frame, column.component] += value * size
+                    else:
+                        at += value * size
+        return [(each - each.mean(axis=0)) / np.sqrt(GRID)] if each.any() else []
+
+    def _over_time(self, column: Column, context: Context) -> list[Array]:
+        """The column's function at moments over the recording, were the context's last visit there."""
+        moments = np.linspace(0.0, self._reference.get("hours", 0.0), GRID)
+        return [np.asarray(column.value(replace(context, hours=np.full_like(context.hours, h)))[-1]) for h in moments]
+
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
         if column.on == "points" or column.args.get("form") in BEFORE_IT:
             return
@@ -180,10 +230,8 @@ class KnownEffects:
         return self._averages[key]
 
     def _on_average(self, effect: Effect, column: Column, context: Context) -> Array:
-        hours = self._reference.get("hours", 0.0)
-        moments = [hours] if effect.name == "zero_shift" else np.linspace(0.0, hours, GRID).tolist()
-        values = [column.value(replace(context, hours=np.full_like(context.hours, h)))[-1] for h in moments]
-        return np.asarray(np.mean(values, axis=0))
+        values = self._over_time(column, context)
+        return values[-1] if effect.name == "zero_shift" else np.asarray(np.mean(values, axis=0))
 
     def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
         """(n+1, 6) with a value for each component that a Gaussian process moves."""
@@ -302,6 +350,12 @@ class KnownEffects:
 def is_beyond(here: Array, low: float, high: float) -> NDArray[np.bool_]:
     """Whether thermometers stand where they never stood while an effect was measured, low to high [°C]."""
     return np.asarray((here < low - BEYOND_C) | (here > high + BEYOND_C))
+
+
+def _with(approach: Signs, joint: int, side: int) -> Signs:
+    out = approach.copy()
+    out[joint] = side
+    return out
 
 
 def _mean_bump(column: Column) -> float:

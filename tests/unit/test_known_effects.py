@@ -242,6 +242,45 @@ def test_a_drift_is_left_as_it_was_on_average_and_said() -> None:
     assert "how far it has gone since it was measured cannot be known" in late.effects[0].why
 
 
+def along_y(compensator: Compensator, **known: object) -> float:
+    """[m] by how much more unsure the effect makes where the point stands, than the base model is."""
+    return float(np.sqrt(asked(compensator, **known).std[1] ** 2 - asked(Compensator(base()[1])).std[1] ** 2))
+
+
+def test_which_side_a_joint_comes_from_makes_unsure_by_half_the_gap_where_nobody_knows() -> None:
+    assert along_y(lost_motion()) == pytest.approx(GAP / 2, rel=0.01)
+    assert along_y(lost_motion(), start=BELOW) == pytest.approx(0.05 * GAP / 2, rel=0.01)
+
+
+def test_a_temperature_that_nobody_knows_makes_unsure_by_what_it_ran_through() -> None:
+    """Evenly between 19 and 25 °C, in three steps: a standard deviation of 6 √(2/27) K."""
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    compensator = knowing("thermal_growth", "vertical", column, 8e-5)
+    compensator = Compensator(replace(compensator.calibration, temperature_range={"rail": (19.0, 25.0)}))
+    assert along_y(compensator) == pytest.approx(8e-5 * 6.0 * np.sqrt(2 / 27), rel=0.01)
+    assert along_y(compensator, around=Around(temperatures={"rail": 22.0})) < 1e-9
+
+
+def test_a_drift_makes_unsure_by_how_far_it_went() -> None:
+    """Linear over eight hours: its standard deviation is 8 / √12."""
+    column = Column("frame", "clock", {"form": "linear", "tau": 1.0}, 0, TY)
+    found = along_y(knowing("drift", None, column, 1e-5))
+    itself = 0.05 * 1e-5 * HOURS / 2  # that of its coefficient, at the mean
+    assert found == pytest.approx(np.hypot(1e-5 * HOURS / np.sqrt(12), itself), rel=0.05)
+
+
+@pytest.mark.parametrize("known", [{}, {"loaded_for": 60.0}])
+def test_how_long_a_load_has_hung_there_makes_unsure_where_nobody_knows(known: dict[str, float]) -> None:
+    args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "exponential"}
+    compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+    whole = abs(asked(compensator, loaded_for=0.0).predicted_error[1] - asked(compensator, loaded_for=3e4).predicted_error[1])
+    assert whole > 1e-6
+    if known:
+        assert along_y(compensator, **known) < 0.06 * whole
+    else:
+        assert 0.3 * whole < along_y(compensator) < 0.5 * whole
+
+
 def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     found = asked(knowing("tracker_scale", None, Column("points", "scale"), 1e-4))
     np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
