@@ -37,13 +37,13 @@ def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.d
 _BETWEEN_NUMBERS = str.maketrans(",;[]()", "      ")
 
 
-def pairs(words: Sequence[str] | None, names: Sequence[str] | None, what: str) -> dict[str, float]:
-    """NAME=NUMBER words; names None: any."""
+def pairs(words: Sequence[str] | None, names: Sequence[str], what: str, of: str) -> dict[str, float]:
+    """NAME=NUMBER words; names: those of a joint, say."""
     out = {}
     for word in words or ():
         name, _, text = word.strip().partition("=")
-        if names is not None and name not in names:
-            raise BadInput(f"{what}: no joint named '{name}', expected one of {', '.join(names)}")
+        if name not in names:
+            raise BadInput(f"{what}: no {of} named '{name}', expected one of {', '.join(names) or 'none'}")
         out[name] = float(numbers([text], 1, f"{what} {name}")[0])
     return out
 

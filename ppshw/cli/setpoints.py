@@ -13,19 +13,27 @@ from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
 
 
-def _circumstances(a: argparse.Namespace, machine: Any) -> Any:
+def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
     """What is known of the move beyond its end and its load: effects that a diagnosis found may depend on it."""
     from ppshw.compensation import Circumstances
-    from ppshw.recording import Around
+    from ppshw.recording import COLDEST, WARMEST, Around
 
+    machine = calibration.machine
     approach = np.zeros(machine.n, dtype=np.int64)
-    for joint, sign in pairs(a.approach, machine.joint_names, "--approach").items():
+    for joint, sign in pairs(a.approach, machine.joint_names, "--approach", "joint").items():
         if sign not in (-1.0, 1.0):
             raise BadInput(f"--approach {joint}: {sign:g}, expected +1 or -1")
         approach[machine.joint_names.index(joint)] = int(sign)
     start = None if a.start is None else numbers(a.start, machine.n, "--from")
-    around = Around(temperatures=pairs(a.temperature, None, "--temperature"))
-    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for)
+    for q, joint, low, high in zip(() if start is None else start, machine.joints, *machine.limits(), strict=False):
+        if not low <= q <= high:
+            raise BadInput(f"--from {joint.name}: {q:g} {joint.unit} is outside its limits {low:g} … {high:g}")
+    thermometers = list(calibration.temperature_range)
+    temperatures = pairs(a.temperature, thermometers, "--temperature", "thermometer of the calibration")
+    for place, degrees in temperatures.items():
+        if not COLDEST <= degrees <= WARMEST:
+            raise BadInput(f"--temperature {place}: {degrees:g} °C, expected {COLDEST:g} … {WARMEST:g} °C")
+    return Circumstances(start, approach, around=Around(temperatures=temperatures), loaded_for=a.loaded_for)
 
 
 def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str, Any], str]:
@@ -38,8 +46,9 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     from ppshw.transforms import from_xyz_rpy
 
     machine = machine_of(a)
-    compensator = Compensator(load_calibration(a.calibration, machine), Bounds(a.max_travel, a.max_angle))
-    given = given or _circumstances(a, machine)
+    calibration = load_calibration(a.calibration, machine)
+    compensator = Compensator(calibration, Bounds(a.max_travel, a.max_angle))
+    given = given or _circumstances(a, calibration)
     payload = numbers(a.wrench, 6, "--wrench")
     if a.point not in ("tip", *machine.points, *machine.targets):
         known = ", ".join(["tip", *machine.points, *machine.targets])
@@ -91,10 +100,11 @@ def move(a: argparse.Namespace) -> None:
         there = f"'{site.machine.name}' ({site.machine.file})"
         raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
     with open_bench(site) as bench, Bar() as bar:
-        felt = bench.temperatures() if load_calibration(a.calibration, machine).effects else {}
+        calibration = load_calibration(a.calibration, machine)
+        felt = bench.temperatures() if calibration.effects else {}
         bench.start_axes(a.reset_faults)
         here = bench.axes.positions()
-        _, answer, text = _corrected(a, _found_there(a, site, here, felt))
+        _, answer, text = _corrected(a, _found_there(a, calibration, site, here, felt))
         there = answer["setpoints"]
         longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
         with bar.expect("move", longest / site.speed):
@@ -103,11 +113,11 @@ def move(a: argparse.Namespace) -> None:
     say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
 
 
-def _found_there(a: argparse.Namespace, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
+def _found_there(a: argparse.Namespace, calibration: Any, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
     """The circumstances as the site has them; what an option says goes before it."""
     from dataclasses import replace
 
-    given = _circumstances(a, site.machine)
+    given = _circumstances(a, calibration)
     approach = np.where(given.approach != 0, given.approach, final_approach(site))
     start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
     around = replace(given.around, temperatures={**felt, **given.around.temperatures})
