@@ -98,7 +98,7 @@ class Calibration:
             "visits": len(recording),
             "visits_used": len(used),
             "readings": int(recording.seen.sum()),
-            "visits_down_weighted": int((estimate.weights[estimate.weights > 0] < 0.5).sum()),
+            "visits_down_weighted": int((estimate.weights[recording.seen.any(axis=1)] < 0.5).sum()),
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }

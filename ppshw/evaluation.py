@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
+from ppshw.identification.plausible import far_off
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
@@ -80,12 +81,19 @@ def figures(errors: Array) -> dict[str, float]:
 def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
-    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it; where the calibration carries
+    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it, the numbers of visits that no
+    error of a machine explains, and whether the calibration was identified from this very recording; where it carries
     effects, how many visits of its own recording this one goes on from, and how many are at temperatures that its
     effects were never measured at; where structure without a name, how many visits lie where nothing is known of it."""
-    nominal = figures(nominal_residuals(recording, machine, refit_base))
-    mine = nominal if calibration is None else figures(residuals(recording, calibration, refit_base))
-    answer = {"visits": len(recording), "readings": int(recording.seen.sum()), **mine, "nominal": nominal}
+    left = nominal_residuals(recording, machine, refit_base)
+    nominal = figures(left)
+    left = left if calibration is None else residuals(recording, calibration, refit_base)
+    answer = {
+        "visits": len(recording), "readings": int(recording.seen.sum()), **figures(left), "nominal": nominal,
+        "far_off": (np.flatnonzero(far_off(left).any(axis=1)) + 1).tolist(),
+    }  # fmt: skip
+    if calibration is not None:
+        answer["identified_from_it"] = recording.sha256 == calibration.provenance.get("recording_sha256")
     if calibration is None or not calibration.effects:
         return answer
     whole, rows = calibration.continued(recording)

@@ -10,7 +10,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +30,8 @@ LIMIT_ROUNDING = 1e-6
 STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
 LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
+COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there
+SAID = 12  # visits by their numbers
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,10 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     has_wrench = any(c in cells for c in WRENCH_COMPONENTS)
     wrench = np.zeros((len(table.rows), 6))
     if has_wrench:
-        wrench = np.column_stack([cells.numbers(c, largest=LARGEST_WRENCH) for c in WRENCH_COMPONENTS])
+        wrench = np.column_stack([
+            cells.numbers(c, largest=LARGEST_WRENCH, unit=" N" if k < 3 else " N m")
+            for k, c in enumerate(WRENCH_COMPONENTS)
+        ])  # fmt: skip
     approach = directions(q_cmd)
     for k, j in enumerate(joints):
         if f"approach_{j}" in cells:
@@ -219,13 +224,19 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         wrench=wrench,
         points=points,
         extra_points=extra_points,
-        temperatures={n[5:-2]: cells.numbers(n, fallback=unknown) for n in cells.names
+        temperatures={n[5:-2]: cells.temperature(n) for n in cells.names
                       if n.startswith("temp_") and n.endswith("_C")},
         covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
         has_wrench=has_wrench,
         source=table.source,
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
     )  # fmt: skip
+
+
+def listed(visits: Iterable[int]) -> str:
+    """Numbers of visits, of indices: the first is visit 1; the first dozen of many."""
+    numbers = [str(v + 1) for v in visits]
+    return ", ".join(numbers[:SAID]) + (" …" if len(numbers) > SAID else "")
 
 
 def directions(q: Array) -> NDArray[np.int64]:
@@ -283,7 +294,7 @@ class _Cells:
         k = self._index[name]
         return [row[k].strip() for row in self._table.rows]
 
-    def numbers(self, name: str, fallback: Array | None = None, largest: float = LARGEST) -> Array:
+    def numbers(self, name: str, fallback: Array | None = None, largest: float = LARGEST, unit: str = "") -> Array:
         """Finite numbers; an empty cell takes `fallback` where that is given, else is an error."""
         out = np.empty(len(self._table.rows))
         for row, text in enumerate(self.raw(name)):
@@ -292,7 +303,16 @@ class _Cells:
                 continue
             out[row] = self._convert(row, name, text, _number, "a number")
             if not abs(out[row]) <= largest:
-                self.fail(row, name, f"'{text}' is no finite number below {largest:g}")
+                may_be_empty = "" if fallback is None else ", or an empty cell where there is none"
+                self.fail(row, name, f"'{text}' is no finite number below {largest:g}{unit}{may_be_empty}")
+        return out
+
+    def temperature(self, name: str) -> Array:
+        """[°C], nan where a cell is empty."""
+        out = self.numbers(name, fallback=np.full(len(self._table.rows), math.nan))
+        for row in np.flatnonzero((out < COLDEST) | (out > WARMEST))[:1]:
+            expected = f"{COLDEST:g} … {WARMEST:g} °C, or an empty cell where nothing was read"
+            self.fail(int(row), name, f"{out[row]:g} is no temperature, expected {expected}")
         return out
 
     def point(self, name: str) -> Array:

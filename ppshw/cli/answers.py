@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,12 @@ TWINNED_PER_S = 250.0
 
 def say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
     print(json.dumps(answer, indent=1) if arguments.json else text)
+
+
+def warn(arguments: argparse.Namespace, warnings: Sequence[str]) -> None:
+    """What is odd about the recording that a command goes on with: beside the answer, which may be JSON."""
+    for warning in warnings:
+        print(f"warning: {arguments.rec}: {warning}", file=sys.stderr)
 
 
 FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"

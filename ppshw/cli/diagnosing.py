@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say
+from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say, warn
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
@@ -31,6 +31,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.wording import how_sure, unexplained
+    from ppshw.identification.plausible import doubts
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -39,9 +40,10 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
+    warn(a, warnings := doubts(recording))
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
-    answer = found.answer
+    answer = {**found.answer, "warnings": warnings}
     if a.page is not None:
         from ppshw.report.diagnosis import write_diagnosis
 

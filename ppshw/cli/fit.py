@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 
 import numpy as np
 
-from ppshw.cli.answers import EVALUATED_PER_S, FIGURE_HEAD, STEPWISE_PER_S, figure_row, new_file, say
+from ppshw.cli.answers import EVALUATED_PER_S, FIGURE_HEAD, STEPWISE_PER_S, figure_row, new_file, say, warn
 from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
+
+FEW = 40  # visits
+NO_BETTER = 1.05  # times what the ideal machine leaves; a fit that leaves more has failed
 
 
 def identify(a: argparse.Namespace) -> None:
@@ -18,25 +20,42 @@ def identify(a: argparse.Namespace) -> None:
 
     from ppshw.calibration import Calibration
     from ppshw.diagnosis.columns import plain_mistakes
-    from ppshw.evaluation import figures, residuals
+    from ppshw.errors import IdentificationFailed, RecordingError
+    from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
-    from ppshw.recording import load_recording
+    from ppshw.identification.joint import believable
+    from ppshw.identification.plausible import doubts, without_copies
+    from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
-        estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
-    ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
-    told = tuple(each.as_dict(machine) for each in ambiguous)
-    calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=told)
+    warnings = doubts(recording)
+    if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
+        warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
+    recording = without_copies(recording)
+    mistakes = [f"{m.subject} {m.what}" for m in plain_mistakes(machine, recording)[1]]
+    try:
+        with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
+            estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
+        ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
+        told = tuple(each.as_dict(machine) for each in ambiguous)
+        calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=told)
+        believed = recording.subset(believable(estimate.weights))
+        fit, ideal = figures(residuals(believed, calibration)), figures(nominal_residuals(believed, machine))
+        if fit["rms_mm"] > NO_BETTER * ideal["rms_mm"]:
+            raise IdentificationFailed(
+                f"{a.rec}: the fit leaves {fit['rms_mm']:.3f} mm rms where the ideal machine leaves "
+                f"{ideal['rms_mm']:.3f} mm: nothing was written"
+            )
+    except (RecordingError, IdentificationFailed) as exc:
+        raise (type(exc)(f"{exc} (see: {mistakes[0]})") if mistakes else exc) from None
     calibration.save(out)
-    for mistake in plain_mistakes(machine, recording)[1]:
-        print(f"warning: {a.rec}: column {mistake.column} {mistake.what}; taken as it stands: set it right",
-              file=sys.stderr)  # fmt: skip
-    fit = figures(residuals(recording, calibration))
+    warnings += [f"{mistake}; taken as it stands: set it right" for mistake in mistakes]
+    warn(a, warnings)
+    set_aside = np.flatnonzero((estimate.weights <= 0.5) & recording.seen.any(axis=1))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
         "visits": len(recording),
@@ -48,7 +67,9 @@ def identify(a: argparse.Namespace) -> None:
         "pose_sigma_mrad": (spread[3:] * 1e3).tolist(),
         "instrument_sigma_mm": calibration.noise.instrument * 1e3,
         "noise": "end effector" if calibration.noise.joints is None else "joints",
-        "outliers": calibration.provenance["visits_down_weighted"],
+        "outliers": len(set_aside),
+        "set_aside": [int(v) + 1 for v in set_aside],
+        "warnings": warnings,
         "ambiguous": list(told),
         "seconds": round(time.perf_counter() - began, 2),
         "out": str(a.out),
@@ -60,7 +81,7 @@ def identify(a: argparse.Namespace) -> None:
         f"  pose repeatability   {np.linalg.norm(spread[:3]) * 1e3:.3f} mm, "
         f"{np.linalg.norm(spread[3:]) * 1e3:.3f} mrad (1 sigma, 3-D)\n"
         f"  instrument           {calibration.noise.instrument * 1e3:.3f} mm per coordinate\n"
-        f"  visits set aside     {answer['outliers']}"
+        f"  visits set aside     {answer['outliers']}{': ' if len(set_aside) else ''}{listed(set_aside)}"
     )
     if a.method != "paper":
         text += f"\n  not told apart       {summary(ambiguous)}"
@@ -70,18 +91,25 @@ def identify(a: argparse.Namespace) -> None:
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.evaluation import evaluate as run
-    from ppshw.identification.plausible import refuse_another_machine
-    from ppshw.recording import load_recording
+    from ppshw.identification.plausible import doubts, refuse_another_machine
+    from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
     recording = load_recording(a.rec, machine)
     refuse_another_machine(machine, recording)
+    warn(a, warnings := doubts(recording))
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
-        answer = run(recording, machine, calibration, refit_base=a.refit_base)
+        answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", FIGURE_HEAD]
     lines += [figure_row(name, values) for name, values in rows]
+    if answer["far_off"]:
+        off = [v - 1 for v in answer["far_off"]]
+        lines.append(f"{len(off)} visits with a reading that no error of a machine explains, in the figures all the "
+                     f"same: {listed(off)}")  # fmt: skip
+    if answer.get("identified_from_it"):
+        lines.append("the calibration was identified from this very recording: not what it is worth on others")
     if answer.get("earlier_visits"):
         lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
     for b in answer.get("beyond", ()):

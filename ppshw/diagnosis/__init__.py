@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
-from ppshw.diagnosis.columns import Mistake, column_mistakes
+from ppshw.diagnosis.columns import column_mistakes
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, by_its_own_form
 from ppshw.diagnosis.gross import (
@@ -33,6 +33,7 @@ from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, estimate
+from ppshw.identification.plausible import without_copies
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -68,7 +69,9 @@ def diagnose(
     without  effects that are taken out of the library (their cases must then be called unexplained)
     Raises IdentificationFailed when the recording is too short to tell.
     """
-    recording = recording.subset(np.asarray(recording.seen.any(axis=1)))
+    recording = without_copies(recording)
+    rows = np.flatnonzero(recording.seen.any(axis=1))
+    recording = recording.subset(rows)
     if len(recording) < LEAST_VISITS:
         raise IdentificationFailed(
             f"{recording.source}: {len(recording)} visits with a target, expected at least {LEAST_VISITS} to diagnose"
@@ -116,7 +119,8 @@ def diagnose(
     unnamed = "unsettled" in without
     scatter = None if riddle else scatter_of(space, seed, any_way=True, nameless=unnamed)
     space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
-    answer, carried = _answer(space, tried, found, gross, scatter, unnamed, mistakes)
+    wrong = [m.finding() for m in mistakes] + gross.findings(rows)
+    answer, carried = _answer(space, tried, found, gross, scatter, unnamed, wrong)
     answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
@@ -175,13 +179,12 @@ def _without(space: Workspace) -> Recording:
 
 def _answer(
     space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: Scatter | None, unnamed: bool,
-    mistakes: list[Mistake],
+    wrong: list[dict[str, Any]],
 ) -> tuple[dict[str, Any], Carried]:
-    """unnamed: whether scatter has no name."""
+    """unnamed: whether scatter has no name; wrong: findings of columns and visits that are."""
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = [m.finding() for m in mistakes] + gross.findings()
-    findings += [finding(space, tried, f) for f in _merged(named)]
+    findings = wrong + [finding(space, tried, f) for f in _merged(named)]
     unexplained = left_at_a_place(space, gross)
     if scatter is not None and not unnamed:
         findings.append(scatter.finding)

@@ -14,6 +14,7 @@ from scipy.stats import f as f_distribution
 from ppshw.diagnosis.evidence import MOST_OF_NOISE, corrected_residual
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.recording import listed
 from ppshw.terms import COMPONENTS
 
 Array = NDArray[np.float64]
@@ -52,19 +53,20 @@ class GrossErrors:
     size: float = 0.0
     p: float = 1.0
 
-    def findings(self) -> list[dict[str, Any]]:
+    def findings(self, rows: NDArray[np.int64]) -> list[dict[str, Any]]:
+        """rows: which visits of the recording those that were looked at are."""
         if not self.visits:
             return []
-        listed = ", ".join(str(v + 1) for v in self.visits[:12]) + (" …" if len(self.visits) > 12 else "")
-        many = f"{len(self.visits)} visits are" if len(self.visits) > 1 else "one visit is"
-        sentence = f"{many} simply wrong and set aside: {listed}."
+        visits = rows[list(self.visits)].tolist()
+        many = f"{len(visits)} visits are" if len(visits) > 1 else "one visit is"
+        sentence = f"{many} simply wrong and set aside: {listed(visits)}."
         for visit, names in itertools.islice(self.swapped.items(), 3):
-            sentence += f" In visit {visit + 1} {' and '.join(names)} are swapped."
+            sentence += f" In visit {rows[visit] + 1} {' and '.join(names)} are swapped."
         return [
             {
                 "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
-                "region": [v + 1 for v in self.visits],
-                "parameters": {"visits": {"value": len(self.visits), "std": 0, "unit": "1"}},
+                "region": [v + 1 for v in visits],
+                "parameters": {"visits": {"value": len(visits), "std": 0, "unit": "1"}},
                 "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "sentence": sentence,
             }
         ]  # fmt: skip

@@ -15,7 +15,7 @@ from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
-from ppshw.recording import Recording
+from ppshw.recording import Recording, listed
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -48,18 +48,65 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     return kept, np.asarray(gross.any(axis=1))
 
 
+def without_copies(recording: Recording) -> Recording:
+    """The recording with what reads the same as an earlier visit to the last digit, joints and targets and load, taken
+    for lost: no instrument repeats itself so, and a row that stands there twice is one reading."""
+    if not (copies := _copies(recording)).any():
+        return recording
+    return replace(recording, points=np.where(copies[:, None, None], np.nan, recording.points))
+
+
+def doubts(recording: Recording) -> list[str]:
+    """What is odd about a recording that can be used even so, each in a line."""
+    said = []
+    if len(copies := np.flatnonzero(_copies(recording))):
+        said.append(
+            f"{len(copies)} visits read the same as an earlier one to the last digit ({listed(copies)}): are these "
+            "rows copies?"
+        )
+    loads = sorted(set(recording.load) - {""})
+    if not recording.has_wrench and len(loads) > 1:
+        said.append(
+            f"no columns Fx … Mz, though loads change ({', '.join(loads[:3])}{' …' if len(loads) > 3 else ''}): what "
+            "they do to the machine cannot be told from its errors"
+        )
+    return said
+
+
+def far_off(errors: Array) -> NDArray[np.bool_]:
+    """(N, T) whether a reading, off by `errors` (N, T, 3) [m], nan where lost, is none that a machine's errors explain:
+    beside the others, and by more than 50 mm."""
+    size = np.linalg.norm(errors, axis=2)
+    return np.asarray(size > max(GROSS_M, GROSS * float(np.nanmedian(size))))
+
+
+def _copies(recording: Recording) -> NDArray[np.bool_]:
+    """(N,) which visits are an earlier one once more."""
+    points = recording.points.reshape(len(recording), -1)
+    rows = np.concatenate([recording.q, recording.q_cmd, recording.wrench, points], axis=1)
+    rows = np.where(np.isnan(rows), np.inf, rows)
+    first = np.unique(rows, axis=0, return_index=True)[1]
+    again = np.ones(len(recording), dtype=bool)
+    again[first] = False
+    return again & recording.seen.any(axis=1)
+
+
 def refuse_another_machine(machine: Machine, recording: Recording) -> None:
     """Raise RecordingError where half of the readings are far from the ideal machine wherever it is put: another
     machine, or in other units. Where the instrument stands does not count, as it may have been moved."""
-    if not recording.seen.any():
-        return
-    size, ideal = _missed_anywhere(machine, recording)
-    middle = float(np.median(size))
-    if _another_machine(middle, ideal):
+    if is_another_machine(machine, recording):
         raise RecordingError(
-            f"{recording.source}: half of the targets are more than {middle:.3g} m from where '{machine.name}' has "
-            "them, wherever it is put; is it this machine, and are they in metres?"
+            f"{recording.source}: half of the targets are more than {misfit(machine, recording):.3g} m from where "
+            f"'{machine.name}' has them, wherever it is put; is it this machine, and are they in metres?"
         )
+
+
+def is_another_machine(machine: Machine, recording: Recording) -> bool:
+    """Whether half of the readings are too far from the ideal machine, wherever it is put, to be its own."""
+    if not recording.seen.any():
+        return False
+    size, ideal = _missed_anywhere(machine, recording)
+    return _another_machine(float(np.median(size)), ideal)
 
 
 def misfit(machine: Machine, recording: Recording) -> float:

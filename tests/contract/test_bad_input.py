@@ -178,6 +178,11 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "no time": (cell(3, "time", ""), ":3: column time: empty, expected an ISO 8601 time"),
     "an approach from nowhere": (cell(6, "approach_turn", "2"), ":6: column approach_turn: 2, expected -1, 0 or 1"),
     "a temperature in words": (cell(6, "temp_air_C", "warm"), ":6: column temp_air_C: 'warm' is not a number"),
+    "a thermometer that is not there": (cell(6, "temp_air_C", "-999"),
+                                        ":6: column temp_air_C: -999 is no temperature, expected -80 … 300 °C"),
+    "a beam that was lost, in words": (cell(5, "P3_z", "NaN"),
+                                       ":5: column P3_z: 'NaN' is no finite number below 1e+09, or an empty cell where there"),
+    "moments in newton millimetres": (cell(9, "Mx", "1200000"), ":9: column Mx: '1200000' is no finite number below 1e+06 N m"),
     "a column twice": (swap("q_cmd_turn", "q_cmd_rail"), ":1: column 5 is twice here: q_cmd_rail"),
     "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
     "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
@@ -254,8 +259,30 @@ def test_identify_warns_of_forces_that_lift_their_payload_and_goes_on(desk: Path
     times(-1.0, "Fx", "Fy", "Fz")(desk / "good.csv")
     said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
     assert said.code == 0
-    assert said.err == (f"warning: {desk / 'good.csv'}: column Fx … Fz has the opposite sign; taken as it stands: "
+    assert said.err == (f"warning: {desk / 'good.csv'}: the column Fx … Fz has the opposite sign; taken as it stands: "
                         "set it right\n")  # fmt: skip
+
+
+def test_a_recording_that_is_none_of_the_machine_s_is_told_which_columns_are_exchanged(desk: Path) -> None:
+    header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
+    header = header.replace("P1_", "?_").replace("P2_", "P1_").replace("?_", "P2_")
+    (desk / "good.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    line = refused(desk, "identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
+    assert "(see: the columns P1 and P2 are exchanged)" in line
+
+
+def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(desk: Path) -> None:
+    header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
+    (desk / "good.csv").write_text("\n".join([header, *(row for row in rows for _ in range(2))]), encoding="utf-8")
+    common = [desk / "good.csv", "--machine", desk / "machine.yaml"]
+    said = ppshw("identify", *common, "--out", desk / "new.json")
+    assert said.code == 0
+    assert f"{len(rows)} visits read the same as an earlier one to the last digit (2, 4, 6" in said.err
+    for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+        column(name, None)(desk / "good.csv")
+    said = ppshw("evaluate", *common, "--json")
+    assert "no columns Fx … Mz, though loads change (" in said.err
+    assert len(json.loads(said.out)["warnings"]) == 2
 
 
 def sql(*statements: str) -> Spoil:
@@ -502,6 +529,9 @@ ASKED: dict[str, tuple[str, str]] = {
                                               "plan: --visibility has no meaning with --to-separate"),
     "the paper's method on another campaign": ("demo --out d --conceal 3 --method paper", "--method paper: has no meaning with"),
     "a short deck of many cases": ("prove --out d --short --cases 20", "prove: --short is a dozen cases of its own"),
+    "a start beyond the limits": ("compensate CAL --joints 0 0 --from 9 0", "--from rail: 9 m is outside its limits -0.8 … 0.8"),
+    "a thermometer that nobody read": ("compensate CAL --joints 0 0 --temperature nowhere=20",
+                                       "--temperature: no thermometer of the calibration named 'nowhere', expected one of"),
     "near joints that are given": ("compensate CAL --joints 0 0 --near 0 0", "--near: chooses among the ways to reach a pose"),
     "a seed in words": ("demo --out d --seed luck", "argument --seed: invalid seed"),
     "a negative seed": ("demo --out d --seed -1", "argument --seed: invalid seed"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+from ppshw.errors import RecordingError
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
@@ -96,3 +97,54 @@ def test_one_moment_with_the_opposite_sign(case: tuple[Machine, Recording]) -> N
     # a sensor that stays level cannot tell it from a load that lies on the other side
     expected = [] if machine.name == "pps" else [("Fx", "Fy", "Fz", "Mx", "My", "Mz")[largest]]
     assert [m.column for m in found] == expected
+
+
+def test_all_angles_in_degrees(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    turning = [k for k, joint in enumerate(machine.joints) if not joint.prismatic]
+    q = recording.q.copy()
+    q[:, turning] *= 180 / np.pi
+    mended, found = column_mistakes(machine, replace(recording, q=q))
+    names = [machine.joint_names[k] for k in turning]
+    assert [m.column for m in found] == [f"q_{names[0]} … q_{names[-1]}"]
+    assert np.allclose(mended.q, recording.q)
+
+
+@pytest.mark.parametrize(("targets", "axes", "expected"), [
+    ([0, 1], None, "{0} and {1}"), ([2], [1, 2], "{2}_y and z"), ([0, 1, 2], [0, 1], "{0}_x … {2}_x and y"),
+])  # fmt: skip
+def test_reflectors_or_coordinates_that_are_exchanged_throughout(
+    case: tuple[Machine, Recording], targets: list[int], axes: list[int] | None, expected: str
+) -> None:
+    machine, recording = case
+    points = recording.points.copy()
+    if axes is None:
+        points[:, targets] = recording.points[:, targets[::-1]]
+    else:
+        for t in targets:
+            points[:, t, axes] = recording.points[:, t, axes[::-1]]
+    mended, found = column_mistakes(machine, replace(recording, points=points))
+    assert [(m.column, m.factor) for m in found] == [(expected.format(*recording.target_names), None)]
+    assert np.array_equal(mended.points, recording.points, equal_nan=True)
+    said = found[0].finding()
+    assert said["parameters"] == {}
+    assert said["sentence"] == f"the columns {found[0].column} are exchanged; they were taken the other way round."
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.5])
+def test_what_a_sensor_reads_with_nothing_on_it_says_nothing_of_units(
+    case: tuple[Machine, Recording], zero: float
+) -> None:
+    machine, recording = case
+    noise = np.random.default_rng(0).normal(0.0, [0.1, 0.1, 0.1, 0.5, 0.5, 0.5], recording.wrench.shape)
+    empty = replace(recording, wrench=noise + zero * np.array([0, 0.1, 0, 6, 0, 0]), load=("empty",) * len(recording))
+    assert column_mistakes(machine, empty)[1] == []
+
+
+def test_what_no_correction_of_a_column_makes_this_machine_s_is_refused(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    points = recording.points.copy()
+    points[150:] *= 1000.0
+    points[:100] += np.random.default_rng(0).normal(0, 1.0, (100, 1, 3))
+    with pytest.raises(RecordingError, match="half of the targets are more than"):
+        column_mistakes(machine, replace(recording, points=points))
