@@ -508,7 +508,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "a machine without treatment": ("demo --out d --machine plain.yaml", "plain.yaml: the demo needs a point named 'treatment'"),
     "a demo on another machine": ("demo --out d --machine machine.yaml", "no joint 'lateral' (there are: rail, turn)"),
     "a demo into a file": ("demo --out good.csv", "good.csv: exists and is no folder"),
-    "a demo over recordings": ("demo --out .", "holds campaign.db, which no demo made; expected another folder"),
+    "a demo over recordings": ("demo --out .", "more, which no demo made; expected a new or an empty folder"),
     "a speed of nothing": ("simulate --machine machine.yaml --site-out s.yaml --speed 0", "--speed: invalid positive number"),
     "a site file nowhere": ("simulate --machine machine.yaml --site-out no/s.yaml", "no/s.yaml: the folder no does not exist"),
     "a recording nowhere": ("import good.csv --machine machine.yaml --out no/new.db", "the folder no does not exist"),
