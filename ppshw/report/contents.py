@@ -68,7 +68,8 @@ class Contents:
 def read_folder(folder: Path) -> Contents:
     """Read what there is. Raises ReportError when that is nothing, other BadInput when a file is broken."""
     if not folder.is_dir():
-        raise ReportError(f"{folder}: no such folder")
+        what = "a file, expected the folder that a calibration was made in" if folder.exists() else "no such folder"
+        raise ReportError(f"{folder}: {what}")
     if not (folder / MACHINE).is_file():
         raise ReportError(f"{folder}: holds no {MACHINE}, expected a folder that a calibration was made in")
     machine = load_machine(folder / MACHINE)

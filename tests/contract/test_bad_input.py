@@ -530,6 +530,8 @@ ASKED: dict[str, tuple[str, str]] = {
                                      "little.yaml: is what is read here"),
     "a run into a table": ("run little.yaml --site site.yaml --out good.csv", "good.csv: not a recording"),
     "a run into another campaign": ("run little.yaml --site site.yaml --out good.db", "good.db: was begun with another"),
+    "a report of a recording": ("report good.db", "good.db: a file, expected the folder that a calibration was made in"),
+    "a machine of no name": ("plan little.yaml --machine nope", "nope: no such file, and no machine of that name (there are: arm6, pps)"),
     "a report of nothing": ("report no", "no: no such folder"),
     "a paper's method without its campaign": ("identify good.csv --machine machine.yaml --method p --out c", "invalid choice"),
 }  # fmt: skip
@@ -559,7 +561,7 @@ def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file\n"),
+        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file, and no machine of that name (there are: arm6, pps)\n"),
         ("identify bad.csv --machine machine.yaml --out c.json", "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside"),
     ],
 )
