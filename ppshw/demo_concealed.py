@@ -107,7 +107,7 @@ def run_concealed(
             found = diagnose(machine, recording, progress=lambda k, n: say("diagnose", k, n))
             diagnose_s = time.perf_counter() - began
             write_text(out / "diagnosis.json", json.dumps(found.answer, indent=1))
-            more = extended(found.space, found.found)
+            more = extended(found.space, found.found, found.answer["findings"])
             more.save(out / "extended.json")
 
             label = file_hash(out / "calibration.json")
