@@ -35,6 +35,7 @@ from ppshw.identification import identify
 from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.progress import folded
+from ppshw.quantities import value_of
 from ppshw.recording import Recording, load_recording
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
@@ -186,7 +187,8 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
     if len(lines) == 1:
         lines.append("nothing")
     where = f" of {truth['joint']}" if truth["joint"] else f" of {truth['target']}" if truth["target"] else ""
-    values = ", ".join(f"{name} {value:.4g}" for name, value in truth["parameters"].items())
+    values = ", ".join(f"{name.replace('_', ' ')} {value_of({'value': value, 'unit': truth['units'][name]})}"
+                       for name, value in truth["parameters"].items())  # fmt: skip
     lines += ["the seal is opened", f"{truth['effect']}{where} ({truth['form']}): {values}; "
               f"{truth['rms_mm']:.3f} mm rms at the reflectors where the repeatability makes "
               f"{truth['repeatability_rms_mm']:.3f}"]  # fmt: skip
