@@ -11,7 +11,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
 from ppshw.kinematics import frames, joint_jacobian, tip_poses
 from ppshw.machine import Machine
-from ppshw.quantities import distance, plain
+from ppshw.quantities import distance, rounded
 from ppshw.terms import Situation
 from ppshw.transforms import rotation_vector
 
@@ -93,8 +93,9 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
     inside = reached & ((q >= lower - 1e-9) & (q <= upper + 1e-9)).all(axis=1)
     if not inside.any():
         k, over = _worst_limit(machine, q[reached])
+        joint = machine.joints[k]
         raise CompensationRefused(
-            f"the pose needs joint '{machine.joint_names[k]}' {plain(over)} {machine.joints[k].unit} beyond its limits"
+            f"the pose needs joint '{joint.name}' {rounded(over)} {joint.unit} beyond its limits"
         )
     candidates = q[inside]
     return np.asarray(candidates[np.argmin(np.linalg.norm(candidates - centre, axis=1))])

@@ -9,13 +9,13 @@ from typing import Any
 
 def distance(metres: float) -> str:
     """How far something is off, to three digits and without an exponent: in mm below a metre, else in m."""
-    return f"{plain(metres)} m" if abs(metres) >= 1.0 else f"{plain(metres * 1e3)} mm"
+    return f"{rounded(metres)} m" if abs(metres) >= 1.0 else f"{rounded(metres * 1e3)} mm"
 
 
-def plain(value: float) -> str:
+def rounded(value: float) -> str:
     """Three digits, the rest of a large number filled with zeros: 2.62e+03 is 2620."""
-    rounded = float(f"{value:.3g}")
-    return f"{rounded:.0f}" if abs(rounded) >= 1e3 else f"{rounded:g}"
+    three = float(f"{value:.3g}")
+    return f"{three:.0f}" if abs(three) >= 1e3 else f"{three:g}"
 
 
 def value_of(p: Mapping[str, Any]) -> str:

@@ -56,6 +56,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = Non
 
 
 def render(diagnosis: Diagnosis, now: datetime) -> str:
+    """The page as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC."""
     answer, space = diagnosis.answer, diagnosis.space
     units = {f"q_{j.name}": j.unit for j in space.machine.joints}
     compared = of_space(space, found=False)

@@ -47,6 +47,11 @@ class Numbers:
 
 
 def compute(contents: Contents) -> Numbers:
+    """Every figure of the page, from the recordings; where there is none, as the run printed it.
+
+    A verification or repeatability that cannot be used for its purpose goes into `missing`, what does not fit together
+    into `notes`. Raises RecordingError where wanted joint values of the identification recording are incomplete.
+    """
     machine, point, calibration = contents.machine, contents.point, contents.calibration
     frame = None if calibration is None else calibration.measuring_in_base
     errors: dict[str, Array] = {}
@@ -159,6 +164,10 @@ class Fit:
 
 
 def fit(recording: Recording, calibration: Calibration) -> Fit:
+    """The residuals of the N visits of the identification recording, and which of them the estimate would not believe.
+
+    recording  of the calibration's machine; visits that it was not made from are judged the same
+    """
     errors = residuals(recording, calibration)
     square = (errors**2).sum(axis=2)
     seen = recording.seen

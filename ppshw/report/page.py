@@ -49,6 +49,10 @@ def build_report(folder: Path | str, now: datetime | None = None) -> Path:
 
 
 def render(contents: Contents, now: datetime) -> str:
+    """The report as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC.
+
+    Raises BadInput where a recording does not go with the calibration.
+    """
     numbers = compute(contents)
     campaign, calibration = contents.recordings.get("campaign"), contents.calibration
     left = fit(campaign, calibration) if campaign is not None and calibration is not None else None

@@ -34,6 +34,7 @@ META = {
 
 
 def mm(value: float) -> str:
+    """A length given in mm, with its unit, that does not break over a line: two decimals from 1 mm on, else three."""
     digits = 2 if value >= 1 else 3
     return f"{value:.{digits}f}\N{NO-BREAK SPACE}mm"
 
@@ -72,6 +73,9 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
 
 
 def joint_ranges(contents: Contents) -> list[dict[str, str]]:
+    """Per joint, in the machine's order: name, and as text in m, or rad and degrees, `valid` (where the calibration was
+    identified), `limits` (of the machine file) and `positions` (how many were sampled). Empty without a calibration.
+    """
     if contents.calibration is None:
         return []
     out = []
@@ -96,6 +100,9 @@ def _positions(contents: Contents, k: int, joint: str) -> str:
 
 
 def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
+    """Per component of the wrench on the sensor, sensor frame: its name and from where to where it was identified, in N
+    or N m. Empty without a calibration.
+    """
     if contents.calibration is None:
         return []
     units = ["N"] * 3 + ["N m"] * 3
@@ -106,6 +113,7 @@ def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
 
 
 def temperature_ranges(contents: Contents) -> list[tuple[str, str]]:
+    """Per place: its name and from where to where it was while measured, in °C. Empty without a calibration."""
     if contents.calibration is None:
         return []
     return [(place, f"{low:.1f} … {high:.1f} °C".replace("-", "−"))
@@ -151,10 +159,12 @@ def devices(contents: Contents) -> list[dict[str, str]]:
 
 
 def timed(recording: Recording) -> bool:
+    """Whether every visit has a time."""
     return bool(np.isfinite(recording.time).all())
 
 
 def duration(seconds: float) -> str:
+    """A time for the eye, that does not break over a line: seconds below two minutes, then minutes, then hours."""
     minutes = round(seconds / 60)
     text = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
     if seconds < 120:
@@ -163,6 +173,7 @@ def duration(seconds: float) -> str:
 
 
 def plain(value: Any) -> str:
+    """A value of a JSON file as text: texts as they are, the rest as JSON."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
