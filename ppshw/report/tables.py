@@ -14,15 +14,20 @@ from ppshw import __version__
 from ppshw.calibration import MOST_POSITIONS
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import Recording
+from ppshw.report import concealed
 from ppshw.report.contents import Contents
 from ppshw.report.numbers import Fit, Numbers
 
 NAMES = {
     "campaign": "Identification",
     "verification_nominal": "Verification, uncompensated",
+    "verification_base": "Verification, base calibration",
     "verification_compensated": "Verification, compensated",
+    "verification_extended": "Verification, with findings",
     "repeatability": "Repeatability",
 }
+# Rows of the table of errors: of all others the case is the name.
+ROWS = {"base": "base calibration", "extended": "with findings"}
 # What a recording says of how it was made: key in the file → words.
 META = {
     "versions": "Versions",
@@ -67,6 +72,8 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
     counts = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
     if counts and "campaign" not in contents.recordings:
         out.append(("Measurements", f"{', '.join(counts)}, as {contents.result_name} says"))
+    if contents.concealed is not None:
+        out += concealed.facts(contents.concealed)
     if isinstance(result.get("seconds"), int | float):
         out.append(("Run time", duration(float(result["seconds"]))))
     return out
