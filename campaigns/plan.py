@@ -287,9 +287,10 @@ def _joint_index(name: str, machine: Machine, where: str) -> int:
 
 
 def _home(script: Script, machine: Machine) -> Array:
-    """The script's home, else 0 clipped into the limits."""
+    """The script's home, else 0 clipped into the limits less the script's margin."""
     lower, upper = machine.limits()
-    return _at(np.clip(np.zeros(machine.n), lower, upper), script.home, machine, f"{script.file}: home")
+    inset = script.home_margin * (upper - lower)
+    return _at(np.clip(np.zeros(machine.n), lower + inset, upper - inset), script.home, machine, f"{script.file}: home")
 
 
 def _at(home: Array, q: Mapping[str, float], machine: Machine, where: str) -> Array:

@@ -119,12 +119,14 @@ class Reference:
 
 @dataclass(frozen=True)
 class Script:
-    """times in seconds; temperature: the window outside which a run waits for the operator, None: no window."""
+    """home_margin: share of a joint's travel that home, where `home` does not name the joint, stays off its limits;
+    times in seconds; temperature: the window outside which a run waits for the operator, None: no window."""
 
     name: str
     about: str
     seed: int
     home: Mapping[str, float]
+    home_margin: float
     targets: tuple[str, ...]
     settle_s: float
     measure_s: float
@@ -171,6 +173,7 @@ def load_script(path: Path | str) -> Script:
         about=top.text("about", default=""),
         seed=seed,
         home=_joint_values(top, "home"),
+        home_margin=top.number("home_margin", default=0.0, low=0.0, high=0.5),
         targets=targets,
         settle_s=top.number("settle_s", default=5.0, low=0.0),
         measure_s=top.number("measure_s", default=4.0, low=0.0),

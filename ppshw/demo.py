@@ -50,7 +50,6 @@ CAMPAIGNS = {
 LEFT = (*CAMPAIGNS, "diagnosis", "verification_base", "verification_extended")
 ANSWERS = ("calibration.json", "extended.json", "diagnosis.json", "seal.sha256", "truth.json", "demo.json",
            "concealed.json", "report.html")  # fmt: skip
-WRITTEN_OVER = ("machine.yaml", "site.yaml", "temperatures.json")  # a demo's own too, but never deleted
 
 
 def run_demo(
@@ -117,17 +116,17 @@ def run_demo(
 
 @contextmanager
 def fresh_folder(out: Path, machine_file: Path) -> Iterator[Path]:
-    """The folder without what an earlier demo left there; other files stay, and nobody else's file is touched.
+    """The folder without what an earlier demo left there. One that was no demo's is refused if anything is in it.
 
     Yields the machine file's copy in it; no other demo may use the folder meanwhile.
     """
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out}: exists and is no folder, expected a folder for the results")
+    if out.exists() and not (out / MARK).exists() and (there := sorted(path.name for path in out.iterdir())):
+        more = f" and {len(there) - 1} more" if there[1:] else ""
+        raise BadInput(f"{out}: holds {there[0]}{more}, which no demo made; expected a new or an empty folder")
     out.mkdir(parents=True, exist_ok=True)
     ours = [*(f"{c}.db" for c in LEFT), *(f"{c}.db-journal" for c in LEFT), *ANSWERS]
-    there = [name for name in (*ours, *WRITTEN_OVER) if (out / name).exists()]
-    if there and not (out / MARK).exists():
-        raise BadInput(f"{out}: holds {there[0]}, which no demo made; expected another folder")
     with only_writer(out / "demo"):
         (out / MARK).write_text("made by ppshw demo; the next one with this --out replaces it\n", encoding="utf-8")
         for name in ours:

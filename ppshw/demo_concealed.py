@@ -36,6 +36,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.progress import folded
 from ppshw.recording import Recording, load_recording
+from ppshw.report.concealed import hidden, named, treated
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
 from ppshw.whole_file import file_hash, write_text
@@ -107,7 +108,7 @@ def run_concealed(
             found = diagnose(machine, recording, progress=lambda k, n: say("diagnose", k, n))
             diagnose_s = time.perf_counter() - began
             write_text(out / "diagnosis.json", json.dumps(found.answer, indent=1))
-            more = extended(found.space, found.found)
+            more = extended(found.space, found.found, found.answer["findings"])
             more.save(out / "extended.json")
 
             label = file_hash(out / "calibration.json")
@@ -185,19 +186,7 @@ def sentences(answer: Mapping[str, Any], figures_table: list[str]) -> list[str]:
         lines.append(f"structure over {' and '.join(answer['unexplained']['covariates'])} that nothing known explains")
     if len(lines) == 1:
         lines.append("nothing")
-    where = f" of {truth['joint']}" if truth["joint"] else f" of {truth['target']}" if truth["target"] else ""
-    values = ", ".join(f"{name} {value:.4g}" for name, value in truth["parameters"].items())
-    lines += ["the seal is opened", f"{truth['effect']}{where} ({truth['form']}): {values}; "
-              f"{truth['rms_mm']:.3f} mm rms at the reflectors where the repeatability makes "
-              f"{truth['repeatability_rms_mm']:.3f}"]  # fmt: skip
-    yes = {True: "yes", False: "no", None: "-"}
-    lines.append(f"effect named: {yes[answer['named']]}   joint right: {yes[answer['joint_right']]}   "
-                 f"other findings: {answer['false_findings']}")  # fmt: skip
-    for what, verdicts in (("compensated", answer["taken_out"]), ("not compensated", answer["not_compensated"])):
-        for v in verdicts:
-            joint = f" of {v['joint']}" if v["joint"] else ""
-            why = f": {v['why']}" if v["why"] else ""
-            lines.append(f"{what}, {v['visits']} visits: {v['effect']}{joint}{why}")
+    lines += ["the seal is opened", hidden(truth), "   ".join(named(answer)), *treated(answer)]
     seen = f"at the treatment point, {answer['verification_visits']} configurations that no fit has seen [mm]"
     if answer["instrument_corrected"]:
         lines.append("* readings corrected for what the instrument is found to err")

@@ -75,6 +75,7 @@ class Work(NamedTuple):
 
 
 def workspace(n: int) -> Work:
+    """Room for one pose of a machine of n joints, all zeros; one for each thread that works."""
     sizes = ((n + 1, 12), (n + 1, 6), (n + 1, 6), (n + 1, 6), (24,), (n, 6), (n, n), (n,))
     return Work(*(np.zeros(size) for size in sizes))
 

@@ -11,6 +11,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
 from ppshw.kinematics import frames, joint_jacobian, tip_poses
 from ppshw.machine import Machine
+from ppshw.quantities import distance, rounded
 from ppshw.terms import Situation
 from ppshw.transforms import rotation_vector
 
@@ -85,15 +86,16 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
             q[:, k] = middle + (q[:, k] - middle + np.pi) % (2 * np.pi) - np.pi
     reached = (np.abs(left) < 1e-6).all(axis=1)
     if not reached.any():
-        nearest = np.linalg.norm(left[:, :3], axis=1).min() * 1e3
+        nearest = distance(np.linalg.norm(left[:, :3], axis=1).min())
         raise CompensationRefused(
-            f"the pose cannot be reached by '{machine.name}': the nearest joint values miss it by {nearest:.3g} mm"
+            f"the pose cannot be reached by '{machine.name}': the nearest joint values miss it by {nearest}"
         )
     inside = reached & ((q >= lower - 1e-9) & (q <= upper + 1e-9)).all(axis=1)
     if not inside.any():
         k, over = _worst_limit(machine, q[reached])
+        joint = machine.joints[k]
         raise CompensationRefused(
-            f"the pose needs joint '{machine.joint_names[k]}' {over:.4g} {machine.joints[k].unit} beyond its limits"
+            f"the pose needs joint '{joint.name}' {rounded(over)} {joint.unit} beyond its limits"
         )
     candidates = q[inside]
     return np.asarray(candidates[np.argmin(np.linalg.norm(candidates - centre, axis=1))])

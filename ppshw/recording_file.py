@@ -27,6 +27,7 @@ CREATE TABLE events (time TEXT NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL,
 
 
 def is_sqlite(path: Path) -> bool:
+    """Whether a file begins like an SQLite database, whatever it is called. Raises OSError where it cannot be read."""
     with path.open("rb") as file:
         return file.read(16) == b"SQLite format 3\x00"
 
@@ -116,12 +117,15 @@ class RecordingFile:
         self.close()
 
     def close(self) -> None:
+        """Let go of the file; every visit is in it already."""
         self._db.close()
 
     def meta(self) -> dict[str, str]:
+        """What the run was made with, as texts by name."""
         return dict(self._db.execute("SELECT key, value FROM meta"))
 
     def columns(self) -> tuple[str, ...]:
+        """The names of the columns, in the order of the CSV."""
         return tuple(json.loads(self.meta()["columns"]))
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
@@ -188,10 +192,12 @@ class RecordingFile:
         self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?)", [time, kind, text, json.dumps(data or {})])
 
     def events(self) -> list[tuple[str, str, str, dict[str, Any]]]:
+        """The event log in its order: (time in ISO 8601 UTC, kind, text, data)."""
         rows = self._db.execute("SELECT time, kind, text, data FROM events ORDER BY rowid")
         return [(t, k, x, json.loads(d)) for t, k, x, d in rows]
 
     def shots(self, visit: int) -> list[tuple[str, dict[str, Any]]]:
+        """The raw shots of a visit, counted from 1, in their order: (target, or `wrench`, and what the device said)."""
         rows = self._db.execute("SELECT target, data FROM shots WHERE visit = ? ORDER BY rowid", [visit])
         return [(t, json.loads(d)) for t, d in rows]
 

@@ -75,6 +75,12 @@ class Separation:
     text: str
     seconds: float
 
+    def why_none(self) -> str:
+        """Why there are no blocks."""
+        if all(r["before"] >= ENOUGH for r in self.rows):
+            return f"told apart already (√λ of {ENOUGH:g} is enough): nothing written"
+        return "not told apart, and none of the visits tried would help (as many as --visits allows): nothing written"
+
     def lines(self) -> list[str]:
         out = []
         for r in self.rows:

@@ -18,8 +18,12 @@ def machine_of(a: argparse.Namespace) -> Any:
     """The machine file of that path, or the one of that name that comes with ppshw."""
     from ppshw.machine import load_machine, shipped_machines
 
-    named = shipped_machines() / f"{a.machine}.yaml"
-    return load_machine(named if not Path(a.machine).exists() and named.is_file() else a.machine)
+    if Path(a.machine).exists():
+        return load_machine(a.machine)
+    shipped = {file.stem: file for file in sorted(shipped_machines().glob("*.yaml"))}
+    if a.machine not in shipped:
+        raise BadInput(f"{a.machine}: no such file, and no machine of that name (there are: {', '.join(shipped)})")
+    return load_machine(shipped[a.machine])
 
 
 def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -50,7 +50,7 @@ def diagnose(a: argparse.Namespace) -> None:
         with Bar() as bar, bar.expect("page", REPORT_S):
             write_diagnosis(found, Path(a.page))
     if a.out is not None:
-        extended(found.space, found.found).save(a.out)
+        extended(found.space, found.found, answer["findings"]).save(a.out)
     with written_whole(Path(a.json)) as partial:
         partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
     held = answer["held_out"]

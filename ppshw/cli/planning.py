@@ -137,7 +137,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     visits = sum(len(block.q) for block in found.blocks)
     answer.update(separation=found.rows, visits=visits, duration_s=found.seconds, out=a.out if visits else None)
     if not visits:
-        say(a, answer, folded([*found.lines(), "told apart already, or by no visits tried: nothing written"]))
+        say(a, answer, folded([*found.lines(), found.why_none()]))
         return
     with written_whole(out, may_be_missing=True) as partial:
         partial.write_text(found.text, encoding="utf-8")

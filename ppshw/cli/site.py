@@ -28,7 +28,7 @@ def run(a: argparse.Namespace) -> None:
     site = load_site(a.site)
     found = plan_campaign(load_script(a.campaign), site.machine)
     check_moves(found, site)
-    correct, label = _setpoint_map(a, site)
+    correct, label = _setpoint_map(a, site, found)
     out = new_file(a.out, a.site, site.machine.file)
     with only_writer(out), open_bench(site) as bench, Bar() as bar:
         result = run_campaign(
@@ -45,14 +45,19 @@ def run(a: argparse.Namespace) -> None:
     say(a, answer, folded(lines))
 
 
-def _setpoint_map(a: argparse.Namespace, site: Any) -> tuple[Any, str]:
-    """Compensated setpoints for a whole campaign, when a calibration is given."""
+def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str]:
+    """Compensated setpoints for a whole campaign, when a calibration is given; refused here where they would be."""
     if a.calibration is None:
         return None, "as planned"
+    from campaigns.corrected import corrected_plan
+    from campaigns.site import check_moves
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator
 
     compensator = Compensator(load_calibration(a.calibration, site.machine))
+    with Bar() as bar:
+        foreseen = corrected_plan(plan, compensator, final_approach(site), lambda k, n: bar("setpoints", k, n))
+    check_moves(foreseen, site)
     return compensator.setpoint_map(final_approach=final_approach(site)), file_hash(a.calibration)
 
 

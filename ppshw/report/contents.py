@@ -16,17 +16,24 @@ from ppshw.errors import ReportError
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.recording_file import RecordingFile, is_sqlite
+from ppshw.report import concealed
 from ppshw.whole_file import file_hash
 
 MACHINE, CALIBRATION = "machine.yaml", "calibration.json"
 RESULT = "demo.json"
+CONCEALED = "concealed.json"  # of a demo with a concealed effect, in the place of demo.json
+EXTENDED = "extended.json"
 DIAGNOSIS = "diagnosis.json"
 RECORDINGS = {
     "campaign": "the residual of the identification recording and the coverage of the joints",
     "verification_nominal": "errors without compensation",
     "verification_compensated": "errors with compensation",
+    "verification_base": "errors with the base calibration alone",
+    "verification_extended": "errors with what a diagnosis found taken out as well",
     "repeatability": "how well the machine comes back to a pose",
 }
+# A folder holds the one, or the other two, where compensation was tried without and with what a diagnosis found.
+PLAIN, IN_TWO = ("verification_compensated",), ("verification_base", "verification_extended")
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,12 @@ class Missing:
 
 @dataclass(frozen=True)
 class Contents:
-    """Everything usable in a folder. `point` is the point of the end effector that accuracy is stated at."""
+    """Everything usable in a folder.
+
+    point      the point of the end effector that accuracy is stated at
+    result     figures that the run printed, by the page's names
+    concealed  all that a demo with a concealed effect answered
+    """
 
     folder: Path
     machine: Machine
@@ -60,6 +72,7 @@ class Contents:
     recordings: dict[str, Recording]
     result: dict[str, Any]
     result_name: str
+    concealed: dict[str, Any] | None
     diagnosis: dict[str, Any] | None
     sources: tuple[Source, ...]
     missing: tuple[Missing, ...]
@@ -68,7 +81,8 @@ class Contents:
 def read_folder(folder: Path) -> Contents:
     """Read what there is. Raises ReportError when that is nothing, other BadInput when a file is broken."""
     if not folder.is_dir():
-        raise ReportError(f"{folder}: no such folder")
+        what = "a file, expected the folder that a calibration was made in" if folder.exists() else "no such folder"
+        raise ReportError(f"{folder}: {what}")
     if not (folder / MACHINE).is_file():
         raise ReportError(f"{folder}: holds no {MACHINE}, expected a folder that a calibration was made in")
     machine = load_machine(folder / MACHINE)
@@ -76,8 +90,12 @@ def read_folder(folder: Path) -> Contents:
     missing: list[Missing] = []
     calibration = _calibration(folder, machine, sources, missing)
     recordings: dict[str, Recording] = {}
+    paths = {stem: _recording_path(folder, stem, calibration) for stem in RECORDINGS}
+    unasked = PLAIN if any(paths[stem] for stem in IN_TWO) else IN_TWO
     for stem, shows in RECORDINGS.items():
-        path = _recording_path(folder, stem, calibration)
+        path = paths[stem]
+        if path is None and stem in unasked:
+            continue
         if path is None:
             missing.append(Missing(f"{stem}.db", "not in the folder", shows))
         elif _is_empty(path):
@@ -85,15 +103,16 @@ def read_folder(folder: Path) -> Contents:
         else:
             recordings[stem] = load_recording(path, machine)
             sources.append(_recording_source(path, recordings[stem]))
-    result, result_name = _result(folder, sources)
+    result, result_name, answered = _result(folder, sources)
     diagnosis = _diagnosis(folder, sources)
     if calibration is None and not recordings and not result:
         names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), RESULT])
         raise ReportError(f"{folder}: nothing to report on beside {MACHINE}, expected any of {names}")
     point = _point(machine, recordings)
     return Contents(
-        folder, machine, point, calibration, recordings, result, result_name, diagnosis, tuple(sources), tuple(missing)
-    )
+        folder, machine, point, calibration, recordings, result, result_name, answered, diagnosis, tuple(sources),
+        tuple(missing),
+    )  # fmt: skip
 
 
 def _calibration(folder: Path, machine: Machine, sources: list[Source], missing: list[Missing]) -> Calibration | None:
@@ -104,6 +123,9 @@ def _calibration(folder: Path, machine: Machine, sources: list[Source], missing:
     calibration = load_calibration(path, machine)
     about = f"calibration, method '{calibration.provenance.get('method', 'unknown')}'"
     sources.append(Source(CALIBRATION, file_hash(path), about))
+    if (more := folder / EXTENDED).is_file():
+        found = ", ".join(effect.name for effect in load_calibration(more, machine).effects)
+        sources.append(Source(EXTENDED, file_hash(more), f"calibration with what was found: {found or 'nothing'}"))
     return calibration
 
 
@@ -138,18 +160,37 @@ def _recording_source(path: Path, recording: Recording) -> Source:
     return Source(path.name, recording.sha256, about, meta, tuple(devices.values()))
 
 
-def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str]:
+def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str, dict[str, Any] | None]:
+    """Figures that the run printed, their file, and all of the file where it is of a demo with a concealed effect."""
     path = folder / RESULT
+    if not path.is_file() and (folder / CONCEALED).is_file():
+        path = folder / CONCEALED
     if not path.is_file():
-        return {}, ""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
-        raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+        return {}, "", None
+    found = _json(path)
     if not isinstance(found, dict):
         raise ReportError(f"{path}: expected an object with the run's figures, found {type(found).__name__}")
+    answer = found if path.name == CONCEALED else None
+    if answer is not None:
+        try:
+            found = concealed.result_of(answer)
+            for words in (concealed.facts, concealed.of_the_instrument):  # once before it is believed
+                words(answer)
+        except (KeyError, TypeError, ValueError, AttributeError) as exc:
+            raise ReportError(f"{path}: no answer of a demo with a concealed effect: {_what_is_wrong(exc)}") from None
     sources.append(Source(path.name, file_hash(path), "figures that the run printed"))
-    return found, path.name
+    return found, path.name, answer
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
+        raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+
+
+def _what_is_wrong(exc: Exception) -> str:
+    return f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
 
 
 def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
@@ -157,18 +198,14 @@ def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
     path = folder / DIAGNOSIS
     if not path.is_file():
         return None
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
-        raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+    found = _json(path)
     lacking = {"verdict", "findings", "held_out", "noise_floor_mm"} - set(found if isinstance(found, dict) else ())
     if lacking:
         raise ReportError(f"{path}: no answer of a diagnosis, without {', '.join(sorted(lacking))}")
     try:
         _look_at(found)
     except (KeyError, TypeError, ValueError, AttributeError) as exc:
-        what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
-        raise ReportError(f"{path}: no answer of a diagnosis: {what}") from None
+        raise ReportError(f"{path}: no answer of a diagnosis: {_what_is_wrong(exc)}") from None
     sources.append(Source(path.name, file_hash(path), "what a diagnosis answered"))
     return dict(found)
 
@@ -195,7 +232,7 @@ def _point(machine: Machine, recordings: dict[str, Recording]) -> str:
     """The treatment point; on a machine without one the first point, else the first target, that was measured."""
     if "treatment" in machine.points:
         return "treatment"
-    checks = [recordings[k] for k in ("verification_compensated", "verification_nominal") if k in recordings]
+    checks = [recordings[k] for k in (*IN_TWO, *PLAIN, "verification_nominal") if k in recordings]
     candidates = [*machine.points, *machine.targets]
     return next((p for p in candidates for r in checks if p in _measured(r)), candidates[0])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +21,7 @@ from ppshw.diagnosis.visibility import TOLD_APART
 from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
+from ppshw.quantities import value_of
 from ppshw.report import residuals
 from ppshw.report.picture import Picture
 from ppshw.terms.shapes import Context, named_column
@@ -56,6 +56,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = Non
 
 
 def render(diagnosis: Diagnosis, now: datetime) -> str:
+    """The page as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC."""
     answer, space = diagnosis.answer, diagnosis.space
     units = {f"q_{j.name}": j.unit for j in space.machine.joints}
     compared = of_space(space, found=False)
@@ -231,21 +232,6 @@ def _rows_of_unnamed(diagnosis: Diagnosis, candidate: Candidate) -> list[tuple[s
 def _whose(name: dict[str, Any]) -> str:
     """An effect and its joint, as a finding's alternatives and aliases are given."""
     return f"{name['effect'].replace('_', ' ')}{' of ' + name['joint'] if name['joint'] else ''}"
-
-
-def value_of(p: dict[str, Any]) -> str:
-    """A parameter for the eye: lengths in mm or µm, angles in mrad or µrad, to the second digit of what is unsure."""
-    value, std, unit = float(p["value"]), abs(float(p["std"] or 0.0)), "" if p["unit"] == "1" else p["unit"]
-    if unit.split("/")[0] in ("m", "rad"):
-        factor, prefix = (1e3, "m") if max(abs(value), std) >= 1e-4 or value == std == 0.0 else (1e6, "µ")
-        value, std, unit = value * factor, std * factor, prefix + unit
-    largest = max(abs(value), std)
-    if std > 0.0 and 1e-3 <= largest < 1e6:
-        digits = max(0, 1 - math.floor(math.log10(std)))
-        text = f"{value:.{digits}f} ± {std:.{digits}f}" if digits <= 6 else f"{value:.4g} ± {std:.1g}"
-    else:
-        text = f"{value:.4g}" + (f" ± {std:.1g}" if std else "")
-    return f"{text} {unit}".strip().replace("-", "−")
 
 
 def _checks(checks: dict[str, list[dict[str, Any]]]) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:

@@ -96,6 +96,7 @@ def constant_compliances(calibration: Calibration) -> tuple[list[Element], int]:
 
 
 def element_name(a: int, b: int) -> str:
+    """An element of a compliance as the page has it: "ty, Fx" is what component a moves under load component b."""
     return f"{COMPONENTS[a]}, {WRENCH_COMPONENTS[b]}"
 
 

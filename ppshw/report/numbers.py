@@ -13,12 +13,18 @@ from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.evaluation import figures, residuals
 from ppshw.recording import Recording
+from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
 from ppshw.terms import Situation
 from ppshw.verification import Returns, point_errors, repeatability, returns_of, wanted_joints
 
 Array = NDArray[np.float64]
-CASES = {"verification_nominal": "uncompensated", "verification_compensated": "compensated"}
+CASES = {
+    "verification_nominal": "uncompensated",
+    "verification_base": "base",
+    "verification_compensated": "compensated",
+    "verification_extended": "extended",
+}
 FIGURES = ("median_mm", "p95_mm", "p98_6_mm", "max_mm")
 # A run prints what it computed from the same recordings: a difference beyond rounding is worth a sentence.
 ROUNDING_MM = 6e-4
@@ -29,7 +35,7 @@ CHUNK = 400  # visits linearised at once: some 30 MB of design
 
 @dataclass(frozen=True)
 class Numbers:
-    """errors        case → (N, 3) at the point, base frame [m]
+    """errors        case of CASES → (N, 3) at the point, base frame [m]
     accuracy      case → FIGURES with `visits`, from the recordings or else as the run printed them
     unseen        the compensated poses are known to be none of the identification's
     returns, repeatability  of repeatability.db; None without it
@@ -45,8 +51,18 @@ class Numbers:
     notes: tuple[str, ...]
     missing: tuple[Missing, ...]
 
+    @property
+    def best(self) -> str:
+        """The case that stands for compensation: with what a diagnosis found, where that was tried."""
+        return "extended" if "extended" in self.accuracy else "compensated"
+
 
 def compute(contents: Contents) -> Numbers:
+    """Every figure of the page, from the recordings; where there is none, as the run printed it.
+
+    A verification or repeatability that cannot be used for its purpose goes into `missing`, what does not fit together
+    into `notes`. Raises RecordingError where wanted joint values of the identification recording are incomplete.
+    """
     machine, point, calibration = contents.machine, contents.point, contents.calibration
     frame = None if calibration is None else calibration.measuring_in_base
     errors: dict[str, Array] = {}
@@ -72,11 +88,14 @@ def compute(contents: Contents) -> Numbers:
             missing.append(Missing(f"repeatability: {point}", str(why), RECORDINGS["repeatability"]))
     again = _repeatability_against_result(contents, again, notes)
     notes += _doubts(contents)
+    if contents.concealed is not None and (erring := of_the_instrument(contents.concealed)):
+        notes.append(erring)
     poses = {case: _poses(contents.recordings[stem]) for stem, case in CASES.items() if case in errors}
     if len(set(poses.values())) > 1:
-        notes.append("The two verification recordings were not made at the same wanted poses: compare them roughly.")
+        notes.append("The verification recordings were not made at the same wanted poses: compare them roughly.")
     campaign = contents.recordings.get("campaign")
-    unseen = campaign is not None and "compensated" in poses and not poses["compensated"] & _poses(campaign)
+    after = [poses[case] for case in ("extended", "compensated") if case in poses][:1]
+    unseen = campaign is not None and bool(after) and not after[0] & _poses(campaign)
     accuracy = {case: row for case, row in accuracy.items() if row}
     return Numbers(errors, accuracy, unseen, returns, again, tuple(notes), tuple(missing))
 
@@ -159,6 +178,10 @@ class Fit:
 
 
 def fit(recording: Recording, calibration: Calibration) -> Fit:
+    """The residuals of the N visits of the identification recording, and which of them the estimate would not believe.
+
+    recording  of the calibration's machine; visits that it was not made from are judged the same
+    """
     errors = residuals(recording, calibration)
     square = (errors**2).sum(axis=2)
     seen = recording.seen

@@ -22,7 +22,7 @@ from ppshw.whole_file import write_text
 
 NAME = "report.html"
 # What a run's own figures file may say beside the contract's keys is shown as it stands; these are in the table.
-SHOWN = ("uncompensated", "compensated", "repeatability_mm", "visits", "readings", "seconds")
+SHOWN = ("uncompensated", "base", "compensated", "extended", "repeatability_mm", "visits", "readings", "seconds")
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,10 @@ def build_report(folder: Path | str, now: datetime | None = None) -> Path:
 
 
 def render(contents: Contents, now: datetime) -> str:
+    """The report as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC.
+
+    Raises BadInput where a recording does not go with the calibration.
+    """
     numbers = compute(contents)
     campaign, calibration = contents.recordings.get("campaign"), contents.calibration
     left = fit(campaign, calibration) if campaign is not None and calibration is not None else None
@@ -67,6 +71,7 @@ def render(contents: Contents, now: datetime) -> str:
         headline=headline(contents, numbers),
         diagnosis=_diagnosed(contents),
         accuracy=numbers.accuracy,
+        rows=tables.ROWS,
         used=tables.measurements(contents),
         facts=tables.facts(contents, numbers, left),
         repeatability=numbers.repeatability,
@@ -90,7 +95,8 @@ def render(contents: Contents, now: datetime) -> str:
 
 def headline(contents: Contents, numbers: Numbers) -> str:
     """One sentence with the numbers that matter, of those that there are."""
-    before, after = numbers.accuracy.get("uncompensated"), numbers.accuracy.get("compensated")
+    before, after = numbers.accuracy.get("uncompensated"), numbers.accuracy.get(numbers.best)
+    base = numbers.accuracy.get("base", {})
     again = numbers.repeatability
     end = f", with a repeatability of {mm(again['p98_6_mm'])}." if again else "."
     at = f"at the point ‘{contents.point}’"
@@ -98,9 +104,10 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         factor = before["p98_6_mm"] / after["p98_6_mm"] if after["p98_6_mm"] > 0 else math.inf
         visits = f" on {after['visits']:.0f} configurations" if "visits" in after else ""
         on = f"{visits} that the identification did not use" if visits and numbers.unseen else visits
+        alone = f" ({mm(base['p98_6_mm'])} with the base calibration alone)" if "p98_6_mm" in base else ""
         return (
             f"Compensation brings 98.6 % of the errors {at} from within {mm(before['p98_6_mm'])} to within "
-            f"{mm(after['p98_6_mm'])}, a factor of {factor:.0f}{on}{end}"
+            f"{mm(after['p98_6_mm'])}{alone}, a factor of {factor:.0f}{on}{end}"
         )
     one = after or before
     if one and "p98_6_mm" in one:
@@ -139,7 +146,7 @@ def _diagnosed(contents: Contents) -> list[str]:
 
 
 def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Section]:
-    before, after = numbers.errors.get("uncompensated"), numbers.errors.get("compensated")
+    before, after = numbers.errors.get("uncompensated"), numbers.errors.get(numbers.best)
     out: list[Section] = []
     if before is not None or after is not None:
         planes = [figures.error_plane(before, after, contents.point, p, False) for p in ((0, 1), (1, 2))]

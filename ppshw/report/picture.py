@@ -63,6 +63,7 @@ class Canvas:
         self.figure, self.axes = figure, axes
 
     def picture(self, title: str, alt: str, note: str = "") -> Picture:
+        """What was drawn, as an SVG for the page; title and note stand beside it, alt says in words what it shows."""
         out = io.BytesIO()
         self.figure.savefig(out, format="svg", dpi=RASTER_DPI, metadata={"Date": None, "Creator": None})
         return Picture(title, alt, note, "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode())

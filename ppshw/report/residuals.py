@@ -39,10 +39,12 @@ class Reading:
 
     @property
     def unit(self) -> str:
+        """Of what is drawn."""
         return "µrad" if self.channel.component.startswith("r") else "µm"
 
     @property
     def label(self) -> str:
+        """The channel in words, without its unit."""
         if self.channel.index < 0:
             return f"distance {self.channel.component}"
         what = "turned about" if self.channel.component.startswith("r") else "shifted along"

@@ -14,15 +14,20 @@ from ppshw import __version__
 from ppshw.calibration import MOST_POSITIONS
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import Recording
+from ppshw.report import concealed
 from ppshw.report.contents import Contents
 from ppshw.report.numbers import Fit, Numbers
 
 NAMES = {
     "campaign": "Identification",
     "verification_nominal": "Verification, uncompensated",
+    "verification_base": "Verification, base calibration",
     "verification_compensated": "Verification, compensated",
+    "verification_extended": "Verification, with findings",
     "repeatability": "Repeatability",
 }
+# Rows of the table of errors: of all others the case is the name.
+ROWS = {"base": "base calibration", "extended": "with findings"}
 # What a recording says of how it was made: key in the file → words.
 META = {
     "versions": "Versions",
@@ -34,6 +39,7 @@ META = {
 
 
 def mm(value: float) -> str:
+    """A length given in mm, with its unit, that does not break over a line: two decimals from 1 mm on, else three."""
     digits = 2 if value >= 1 else 3
     return f"{value:.{digits}f}\N{NO-BREAK SPACE}mm"
 
@@ -66,12 +72,17 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
     counts = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
     if counts and "campaign" not in contents.recordings:
         out.append(("Measurements", f"{', '.join(counts)}, as {contents.result_name} says"))
+    if contents.concealed is not None:
+        out += concealed.facts(contents.concealed)
     if isinstance(result.get("seconds"), int | float):
         out.append(("Run time", duration(float(result["seconds"]))))
     return out
 
 
 def joint_ranges(contents: Contents) -> list[dict[str, str]]:
+    """Per joint, in the machine's order: name, and as text in m, or rad and degrees, `valid` (where the calibration was
+    identified), `limits` (of the machine file) and `positions` (how many were sampled). Empty without a calibration.
+    """
     if contents.calibration is None:
         return []
     out = []
@@ -96,6 +107,9 @@ def _positions(contents: Contents, k: int, joint: str) -> str:
 
 
 def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
+    """Per component of the wrench on the sensor, sensor frame: its name and from where to where it was identified, in N
+    or N m. Empty without a calibration.
+    """
     if contents.calibration is None:
         return []
     units = ["N"] * 3 + ["N m"] * 3
@@ -106,6 +120,7 @@ def payload_ranges(contents: Contents) -> list[tuple[str, str]]:
 
 
 def temperature_ranges(contents: Contents) -> list[tuple[str, str]]:
+    """Per place: its name and from where to where it was while measured, in °C. Empty without a calibration."""
     if contents.calibration is None:
         return []
     return [(place, f"{low:.1f} … {high:.1f} °C".replace("-", "−"))
@@ -151,10 +166,12 @@ def devices(contents: Contents) -> list[dict[str, str]]:
 
 
 def timed(recording: Recording) -> bool:
+    """Whether every visit has a time."""
     return bool(np.isfinite(recording.time).all())
 
 
 def duration(seconds: float) -> str:
+    """A time for the eye, that does not break over a line: seconds below two minutes, then minutes, then hours."""
     minutes = round(seconds / 60)
     text = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
     if seconds < 120:
@@ -163,6 +180,7 @@ def duration(seconds: float) -> str:
 
 
 def plain(value: Any) -> str:
+    """A value of a JSON file as text: texts as they are, the rest as JSON."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

@@ -203,5 +203,6 @@ def _truth(concealed: Concealed, amplitude: float, drawn: dict[str, Any]) -> dic
         "component": concealed.component,
         "covariates": list(concealed.covariates),
         "neighbours": list(concealed.neighbours),
-        "parameters": concealed.parameters(amplitude),
+        "parameters": (values := concealed.parameters(amplitude)),
+        "units": {name: concealed.unit(name) for name in values},
     }

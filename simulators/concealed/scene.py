@@ -70,6 +70,25 @@ class Concealed:
         """On the campaign that it was drawn on."""
         return self.on(self.scene, amplitude)
 
+    def unit(self, parameter: str) -> str:
+        """Of one of its `parameters`: m, rad, s, 1 and fractions of these."""
+        if parameter.endswith("_s"):
+            return "s"
+        if parameter in ("exponent", "width", "count"):  # width: a share of the greatest load
+            return "1"
+        if parameter in ("relative", "scale"):
+            return "1/K" if "temp_air_C" in self.covariates else "1"
+        if parameter == "compliance":
+            return "rad/(N m)"
+        chain = self.scene.chain
+        prismatic = any(joint.prismatic for joint in chain.joints if joint.name == self.joint)
+        if parameter in ("way", "period"):  # along the joint's own travel
+            return "m" if prismatic else "rad"
+        unit = "rad" if (self.component or "t").startswith("r") else "m"
+        if parameter == "per_kelvin":  # a rail grows by a share of its free length
+            return "1/K" if prismatic and unit == "m" else f"{unit}/K"
+        return unit
+
 
 @dataclass(frozen=True)
 class Scene:

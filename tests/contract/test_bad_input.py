@@ -538,13 +538,15 @@ ASKED: dict[str, tuple[str, str]] = {
     "a machine without treatment": ("demo --out d --machine plain.yaml", "plain.yaml: the demo needs a point named 'treatment'"),
     "a demo on another machine": ("demo --out d --machine machine.yaml", "no joint 'lateral' (there are: rail, turn)"),
     "a demo into a file": ("demo --out good.csv", "good.csv: exists and is no folder"),
-    "a demo over recordings": ("demo --out .", "holds campaign.db, which no demo made; expected another folder"),
+    "a demo over recordings": ("demo --out .", "more, which no demo made; expected a new or an empty folder"),
     "a speed of nothing": ("simulate --machine machine.yaml --site-out s.yaml --speed 0", "--speed: invalid positive number"),
     "a site file nowhere": ("simulate --machine machine.yaml --site-out no/s.yaml", "no/s.yaml: the folder no does not exist"),
     "a recording nowhere": ("import good.csv --machine machine.yaml --out no/new.db", "the folder no does not exist"),
     "a table nowhere": ("export good.db no/new.csv", "no/new.csv: the folder no does not exist"),
     "a calibration nowhere": ("identify good.csv --machine machine.yaml --out no/c.json", "the folder no does not exist"),
     "a run nowhere": ("run little.yaml --site site.yaml --out no/new.db", "no/new.db: the folder no does not exist"),
+    "a run whose corrections are refused": ("run little.yaml --site site.yaml --out new.db --calibration cal.json",
+                                            "little.yaml:8: step sweep, visit 0: joint 'rail' at -0.8 m is outside what was identified"),
     "an import over a file": ("import good.csv --machine machine.yaml --out good.db", "good.db: exists already"),
     "an import onto itself": ("import good.csv --machine machine.yaml --out good.csv", "good.csv: is what is read here"),
     "an export onto itself": ("export good.db good.db", "good.db: is what is read here"),
@@ -560,6 +562,8 @@ ASKED: dict[str, tuple[str, str]] = {
                                      "little.yaml: is what is read here"),
     "a run into a table": ("run little.yaml --site site.yaml --out good.csv", "good.csv: not a recording"),
     "a run into another campaign": ("run little.yaml --site site.yaml --out good.db", "good.db: was begun with another"),
+    "a report of a recording": ("report good.db", "good.db: a file, expected the folder that a calibration was made in"),
+    "a machine of no name": ("plan little.yaml --machine nope", "nope: no such file, and no machine of that name (there are: arm6, pps)"),
     "a report of nothing": ("report no", "no: no such folder"),
     "a paper's method without its campaign": ("identify good.csv --machine machine.yaml --method p --out c", "invalid choice"),
 }  # fmt: skip
@@ -589,7 +593,7 @@ def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file\n"),
+        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file, and no machine of that name (there are: arm6, pps)\n"),
         ("identify bad.csv --machine machine.yaml --out c.json", "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,8 @@ def test_lost_motion_is_found_and_taken_out_by_its_approach(tmp_path: Path) -> N
     assert set(recording.temperatures) >= {"air", "rail"}
     lines = sentences(found, [])
     assert max(map(len, lines)) <= 80
+    unit = "mm" if found["truth"]["units"]["gap"] == "m" else "mrad"
+    assert any(re.search(rf"gap [\d.]+ {unit};", line) for line in lines)
     assert any(line.startswith("effect named: yes   joint right: yes") for line in lines)
 
 

@@ -95,7 +95,7 @@ def test_a_short_demo_does_the_whole_job(tmp_path: Path, scripts: dict[str, str]
         assert file.meta()["setpoints"] == "nominal"
 
 
-@pytest.mark.parametrize("name", ["machine.yaml", "site.yaml", "temperatures.json", "report.html"])
+@pytest.mark.parametrize("name", ["machine.yaml", "site.yaml", "report.html", "thesis.tex"])
 def test_a_folder_with_somebody_s_own_files_is_refused_and_left_as_it_was(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine\n", encoding="utf-8")
     with pytest.raises(BadInput, match=f"holds {name}, which no demo made"), fresh_folder(
@@ -103,6 +103,11 @@ def test_a_folder_with_somebody_s_own_files_is_refused_and_left_as_it_was(tmp_pa
     ):
         pass
     assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == {name: "mine\n"}
+
+
+def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
+    with fresh_folder(tmp_path, ROOT / "machines/pps.yaml") as machine:
+        assert machine.parent == tmp_path
 
 
 def test_a_demo_may_be_made_again_of_the_machine_that_it_left(tmp_path: Path) -> None:

@@ -92,6 +92,21 @@ def test_the_seal_is_the_hash_of_the_truth_and_another_salt_makes_another(plant:
     assert truth["rms_mm"] == pytest.approx(2 * truth["repeatability_rms_mm"], rel=0.01)
 
 
+def test_the_truth_says_its_parameters_with_their_units(plant: Plant) -> None:
+    said: dict[str, set[str]] = {}
+    for effect in CARRIED:
+        for seed in range(4):
+            truth = json.loads(conceal(plant, seed, 5.0, "", lambda: [], effect=effect).truth)
+            assert truth["units"].keys() == truth["parameters"].keys()
+            for name, unit in truth["units"].items():
+                said.setdefault(name, set()).add(unit)
+    assert said["after_s"] == {"s"}
+    assert said["compliance"] == {"rad/(N m)"}  # of the floor
+    assert said["gap"] == said["period"] == {"m", "rad"}  # rails and turning joints
+    assert said["per_kelvin"] <= {"1/K", "m/K", "rad/K"}
+    assert said["exponent"] == {"1"}
+
+
 def test_seeds_pick_different_effects(plant: Plant) -> None:
     picked = {json.loads(conceal(plant, seed, 5.0, "", lambda: []).truth)["effect"] for seed in range(12)}
     assert len(picked) >= 5

@@ -68,6 +68,11 @@ def answered(case: Case, folder: Path) -> dict[str, Any]:
     said = ["--json", str(folder / "answer.json"), "--out", calibration, "--page", str(folder / "page.html")]
     assert main(["diagnose", *where, *said]) == 0
     answer: dict[str, Any] = json.loads((folder / "answer.json").read_text(encoding="utf-8"), parse_constant=refuse)
+    said_of = {(f["effect"], f["joint"]): f["sentence"] for f in answer["findings"]}
+    effects = json.loads(Path(calibration).read_text(encoding="utf-8"))["effects"]
+    assert [e["sentence"] for e in effects if e["effect"] != "unexplained"] == [
+        said_of[e["effect"], e["joint"]] for e in effects if e["effect"] != "unexplained"
+    ]
     assert not re.search(r"\bnan\b", (folder / "page.html").read_text(encoding="utf-8"), re.IGNORECASE)
     assert main(["twin", *where, "--calibration", calibration, "--out", str(folder / "twin.csv"), "--seed", "1"]) == 0
     assert main(["evaluate", *where, "--calibration", calibration]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +152,17 @@ def test_visits_that_separate_two_effects_raise_what_tells_them_apart(
     wanted = np.concatenate([block.q for block in found.blocks])
     assert np.array([v.setpoints for v in plan.visits]) == pytest.approx(wanted, abs=1e-4)  # in the order chosen
     assert len(plan.visits) <= 15
+
+
+def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_help(
+    machine: Machine, sweeps: Plan
+) -> None:
+    effects = ("backlash", "friction_hysteresis")
+    found = separate(Wanted(machine, effects, "vertical", sweeps, 2, 1, "next", "a test"))  # no block is as short
+    assert not found.blocks
+    assert found.why_none().startswith("not told apart, and none of the visits tried would help")
+    apart = replace(found, rows=[{**r, "before": 6.1, "after": 6.1} for r in found.rows])
+    assert apart.why_none() == "told apart already (√λ of 6 is enough): nothing written"
 
 
 def test_an_effect_that_does_not_exist_cannot_be_separated(machine: Machine, sweeps: Plan) -> None:

@@ -23,11 +23,11 @@ from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine, load_machine
+from ppshw.quantities import distance, rounded, value_of
 from ppshw.recording import Recording, columns_for, load_recording
 from ppshw.recording_file import RecordingFile
 from ppshw.report import build_report
 from ppshw.report.contents import read_folder
-from ppshw.report.diagnosis import value_of
 from ppshw.report.numbers import compute, fit
 from ppshw.report.page import headline
 from ppshw.report.tables import facts
@@ -364,6 +364,60 @@ def test_figures_that_the_run_printed_are_held_against_the_recordings(copy: Path
     assert ("Run time", "31\N{NO-BREAK SPACE}s") in facts(contents, compute(contents), None)
 
 
+HIDDEN = {
+    "seal": "5ea1", "conceal": 4, "seed": 1, "visits": 90, "verification_visits": 40, "diagnose_seconds": 20.0,
+    "machine_hours": 9.5, "seconds": 70.0, "named": True, "joint_right": False, "false_findings": 2,
+    "truth": {"effect": "backlash", "joint": "rail", "target": None, "form": "play", "parameters": {"gap": 2.519e-4},
+              "units": {"gap": "m"}, "rms_mm": 0.126, "repeatability_rms_mm": 0.063},
+    "taken_out": [{"effect": "backlash", "joint": "rail", "visits": 40, "why": None}],
+    "not_compensated": [{"effect": "drift", "joint": None, "visits": 40, "why": "it cannot be known"}],
+    "instrument_corrected": {"base": {"p98_6_mm": 0.3}, "extended": {"p98_6_mm": 0.2}},
+}  # fmt: skip
+
+
+def concealing(folder: Path) -> None:
+    """The folder as a demo with a concealed effect leaves one: three verifications, and no repeatability."""
+    (folder / "verification_compensated.db").rename(folder / "verification_extended.db")
+    shutil.copy(folder / "verification_nominal.db", folder / "verification_base.db")
+    shutil.copy(folder / "calibration.json", folder / "extended.json")
+    (folder / "repeatability.db").unlink()
+    mine = compute(read_folder(folder)).accuracy
+    rows = {"nominal": mine["uncompensated"], "base": mine["base"], "extended": mine["extended"]}
+    (folder / "concealed.json").write_text(json.dumps({**HIDDEN, **rows}))
+
+
+def test_what_a_demo_with_a_concealed_effect_left_is_all_on_the_page(copy: Path) -> None:
+    before = compute(read_folder(copy)).accuracy
+    concealing(copy)
+    build_report(copy, NOW)
+    contents = read_folder(copy)
+    numbers = compute(contents)
+    assert numbers.accuracy["extended"] == before["compensated"]
+    assert numbers.accuracy["base"] == before["uncompensated"]
+    assert numbers.unseen
+    assert [m.name for m in contents.missing] == ["repeatability.db"]
+    words = " ".join(page(copy).words.split())
+    for said in (
+        "base calibration", "with findings", "mm with the base calibration alone), a factor of",
+        "backlash of rail (play): gap 0.2519 mm; 0.126 mm rms at the reflectors",
+        "effect named: yes; joint right: no; other findings: 2", "compensated, 40 visits: backlash of rail",
+        "not compensated, 40 visits: drift: it cannot be known", "Verification, with findings",
+        "within 0.300 mm with the base calibration and 0.200 mm with the findings", "extended.json",
+    ):  # fmt: skip
+        assert said in words
+    assert not any("concealed.json says" in note for note in numbers.notes)
+
+
+def test_a_concealed_demo_s_answer_that_lacks_something_is_refused(copy: Path) -> None:
+    concealing(copy)
+    whole = json.loads((copy / "concealed.json").read_text())
+    for key in ("truth", "base", "taken_out", "instrument_corrected"):
+        rest = {k: v for k, v in whole.items() if k != key}
+        (copy / "concealed.json").write_text(json.dumps(rest))
+        with pytest.raises(ReportError, match=f"concealed.json: no answer of a demo .*'{key}' is missing"):
+            read_folder(copy)
+
+
 def test_a_run_that_left_only_its_figures_is_reported_from_them(tmp_path: Path) -> None:
     slide(tmp_path)
     four = {"median_mm": 4.0, "p95_mm": 7.0, "p98_6_mm": 8.0, "max_mm": 9.0}
@@ -481,3 +535,8 @@ def test_a_parameter_is_shown_in_the_field_s_units_to_what_is_known(
     value: float, std: float | None, unit: str, shown: str
 ) -> None:
     assert value_of({"value": value, "std": std, "unit": unit}) == shown
+
+
+def test_large_numbers_are_printed_without_an_exponent() -> None:
+    assert [rounded(x) for x in (2617.3, 2.29e6, 999.6, 12.34, 0.1)] == ["2620", "2290000", "1000", "12.3", "0.1"]
+    assert [distance(x) for x in (2617.3, 0.9996, 0.0123)] == ["2620 m", "1000 mm", "12.3 mm"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration
 from ppshw.cli import main
 from ppshw.diagnosis import Diagnosis
-from ppshw.diagnosis.checks import Check, before_and_after, check, sentence
+from ppshw.diagnosis.checks import ODD, Check, before_and_after, check, sentence
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Map, channels, gradients
@@ -231,6 +231,10 @@ def test_a_modelled_effect_makes_recording_and_twin_alike_and_the_page_shows_it(
     assert "<td>clearance of pitch</td>" in page  # the finding's own, where the typical form has none
     without, with_it = re.search(r"([\d.]+) mm without it, ([\d.]+) mm with it", page).groups()  # type: ignore[union-attr]
     assert float(without) > 1.1 * float(with_it)  # √(0.089² + 0.08²) mm, less what the base model takes of it
+    failed = [c for c in before + after if c["p"] <= ODD]
+    assert len(failed) > sum(c["p"] <= ODD for c in after)
+    assert page.count('<td class="odd">') == 2 * len(failed)  # what was seen and its p: of that check, not of its row
+    assert '<tr class="odd"' not in page
 
 
 def test_the_report_of_a_folder_says_what_its_diagnosis_found(rig: Rig, tmp_path: Path) -> None:

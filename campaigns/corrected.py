@@ -1,0 +1,48 @@
+"""A plan as a calibration would correct it, worked out before the run: what is beyond a limit is refused while nothing
+has moved and nothing is written.
+
+During the run the wrench is measured; beforehand it is what the script's loads weigh, and what is bolted on besides is
+not known. So a load is taken no farther than where the calibration was identified: beyond that the run itself refuses.
+Temperatures and ages of loads are not known either: effects that ask for them are taken in the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaigns.design.loads import wrench
+from campaigns.plan import Plan, Visit
+from ppshw.compensation import Circumstances, Compensator
+from ppshw.errors import CampaignError, CompensationRefused
+
+
+def corrected_plan(
+    plan: Plan,
+    compensator: Compensator,
+    final_approach: NDArray[np.int64] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Plan:
+    """The same visits at the setpoints that they will be corrected to, as far as these can be known.
+
+    final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
+    Raises CampaignError naming the step, the visit and why its correction would be refused.
+    """
+    low, high = compensator.calibration.payload_range.T
+    visits: list[Visit] = []
+    for visit in plan.visits:
+        wanted, load = np.array(visit.setpoints), plan.loads[visit.load]
+        payload = np.clip(wrench(plan.machine, wanted[None], load.mass, np.array(load.com))[0], low, high)
+        before = visit.via or (visits[-1].setpoints if visits else None)
+        given = Circumstances(None if before is None else np.array(before), final_approach)
+        try:
+            found = compensator.for_joints(wanted, payload, given=given)
+        except CompensationRefused as refused:
+            raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.index}: {refused}") from None
+        visits.append(replace(visit, setpoints=tuple(found.corrected.tolist())))
+        if progress is not None:
+            progress(len(visits), len(plan.visits))
+    return replace(plan, visits=tuple(visits))

@@ -1,0 +1,37 @@
+"""Numbers with their units for the eye: what is printed, never what is written for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+
+def distance(metres: float) -> str:
+    """How far something is off, to three digits and without an exponent: in mm below a metre, else in m."""
+    return f"{rounded(metres)} m" if abs(metres) >= 1.0 else f"{rounded(metres * 1e3)} mm"
+
+
+def rounded(value: float) -> str:
+    """Three digits, the rest of a large number filled with zeros: 2.62e+03 is 2620."""
+    three = float(f"{value:.3g}")
+    return f"{three:.0f}" if abs(three) >= 1e3 else f"{three:g}"
+
+
+def value_of(p: Mapping[str, Any]) -> str:
+    """A parameter for the eye: lengths in mm or µm, angles in mrad or µrad, to the second digit of what is unsure.
+
+    p  `value`, `unit`, and `std` where it is known, as in a finding's `parameters` (the contract, §4); an amount
+       of m/… or rad/… is scaled too, every other unit stays as it is
+    """
+    value, std, unit = float(p["value"]), abs(float(p.get("std") or 0.0)), "" if p["unit"] == "1" else p["unit"]
+    if unit.split("/")[0] in ("m", "rad"):
+        factor, prefix = (1e3, "m") if max(abs(value), std) >= 1e-4 or value == std == 0.0 else (1e6, "µ")
+        value, std, unit = value * factor, std * factor, prefix + unit
+    largest = max(abs(value), std)
+    if std > 0.0 and 1e-3 <= largest < 1e6:
+        digits = max(0, 1 - math.floor(math.log10(std)))
+        text = f"{value:.{digits}f} ± {std:.{digits}f}" if digits <= 6 else f"{value:.4g} ± {std:.1g}"
+    else:
+        text = f"{value:.4g}" + (f" ± {std:.1g}" if std else "")
+    return f"{text} {unit}".strip().replace("-", "−")
