@@ -113,7 +113,9 @@ def move(a: argparse.Namespace) -> None:
     say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
 
 
-def _found_there(a: argparse.Namespace, calibration: Any, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
+def _found_there(
+    a: argparse.Namespace, calibration: Any, site: Any, here: dict[str, float], felt: dict[str, float]
+) -> Any:
     """The circumstances as the site has them; what an option says goes before it."""
     from dataclasses import replace
 

@@ -15,6 +15,7 @@ from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
+from ppshw.quantities import distance
 from ppshw.recording import Recording, listed
 from ppshw.transforms import fit_rigid
 
@@ -42,8 +43,8 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
         kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
     if _another_machine(median, ideal):
         raise RecordingError(
-            f"{recording.source}: half of the targets are more than {median:.3g} m from where '{machine.name}' should "
-            "have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
+            f"{recording.source}: half of the targets are more than {distance(median)} from where '{machine.name}' "
+            "should have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
         )
     return kept, np.asarray(gross.any(axis=1))
 
@@ -96,7 +97,7 @@ def refuse_another_machine(machine: Machine, recording: Recording) -> None:
     machine, or in other units. Where the instrument stands does not count, as it may have been moved."""
     if is_another_machine(machine, recording):
         raise RecordingError(
-            f"{recording.source}: half of the targets are more than {misfit(machine, recording):.3g} m from where "
+            f"{recording.source}: half of the targets are more than {distance(misfit(machine, recording))} from where "
             f"'{machine.name}' has them, wherever it is put; is it this machine, and are they in metres?"
         )
 

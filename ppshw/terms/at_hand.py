@@ -192,11 +192,9 @@ class KnownEffects:
                 stays = effect.name == "zero_shift" and column.function != "hopping"
                 if column.on == "points" or not _by_clock(column) or stays or column.args.get("form") in BEFORE_IT:
                     continue
-                for at, size in zip(each, self._over_time(column, context), strict=True):
-                    if column.on == "frame":
-                        at[column.frame, column.component] += value * size
-                    else:
-                        at += value * size
+                where = (column.frame, column.component) if column.on == "frame" else (slice(None), slice(None))
+                for k, size in enumerate(self._over_time(column, context)):
+                    each[k, *where] += value * size
         return [(each - each.mean(axis=0)) / np.sqrt(GRID)] if each.any() else []
 
     def _over_time(self, column: Column, context: Context) -> list[Array]:

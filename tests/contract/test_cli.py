@@ -143,7 +143,9 @@ def test_identify_and_evaluate_answer_the_same_for_both_forms(desk: Path) -> Non
         assert set(said["fit"]) == FIGURES
         assert (said["visits"], said["readings"], said["method"]) == (90, 270, "joint")
         judged = answer("evaluate", desk / f"good.{form}", *machine, "--calibration", desk / f"{form}.json")
-        assert set(judged) == {"visits", "readings", "nominal", *FIGURES}
+        more = {"nominal", "far_off", "identified_from_it", "warnings"}
+        assert set(judged) == {"visits", "readings", *more, *FIGURES}
+        assert (judged["far_off"], judged["identified_from_it"], judged["warnings"]) == ([], True, [])
         assert set(judged["nominal"]) == FIGURES
         found[form] = judged
     assert found["csv"] == found["db"]
