@@ -82,7 +82,7 @@ class KnownEffects:
         # only those ask for the links' compliances
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
         self._compliance_at: tuple[Array, Array] | None = None
-        self._averages: dict[tuple[object, ...], Array] = {}
+        self._courses: dict[tuple[object, ...], Array] = {}
 
     @property
     def machine(self) -> Machine:
@@ -197,10 +197,17 @@ class KnownEffects:
                     each[k, *where] += value * size
         return [(each - each.mean(axis=0)) / np.sqrt(GRID)] if each.any() else []
 
-    def _over_time(self, column: Column, context: Context) -> list[Array]:
-        """The column's function at moments over the recording, were the context's last visit there."""
+    def _over_time(self, column: Column, context: Context) -> Array:
+        """(GRID, …) the column's function at moments over the recording, were the context's last visit there; of what
+        is a matter of the clock alone worked out once."""
+        key = column.function, str(sorted(column.args.items()))
+        if key in self._courses:
+            return self._courses[key]
         moments = np.linspace(0.0, self._reference.get("hours", 0.0), GRID)
-        return [np.asarray(column.value(replace(context, hours=np.full_like(context.hours, h)))[-1]) for h in moments]
+        values = np.array([column.value(replace(context, hours=np.full_like(context.hours, h)))[-1] for h in moments])
+        if column.function in BY_CLOCK_ALONE:
+            self._courses[key] = values
+        return values
 
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
         if column.on == "points" or column.args.get("form") in BEFORE_IT:
@@ -220,16 +227,8 @@ class KnownEffects:
             return np.zeros((self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
-        if column.function not in BY_CLOCK_ALONE:
-            return self._on_average(effect, column, context)
-        key = effect.name, column.function, str(sorted(column.args.items()))
-        if key not in self._averages:
-            self._averages[key] = self._on_average(effect, column, context)
-        return self._averages[key]
-
-    def _on_average(self, effect: Effect, column: Column, context: Context) -> Array:
         values = self._over_time(column, context)
-        return values[-1] if effect.name == "zero_shift" else np.asarray(np.mean(values, axis=0))
+        return values[-1] if effect.name == "zero_shift" else np.asarray(values.mean(axis=0))
 
     def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
         """(n+1, 6) with a value for each component that a Gaussian process moves."""
