@@ -90,6 +90,14 @@ def counts(named: Candidate, rival: Candidate) -> float:
     return 1.0 if here and (winds_up or len(rival.covariates) == 1) else ALWAYS
 
 
+def stranger_than(named: Candidate, rival: Candidate) -> bool:
+    """Whether a rival that says the same would be the odder story: beside growth with a temperature, compliance that
+    changes with it. Under a load that hardly changes, as own weight is, both are one function, and quiet growth lost
+    its name to that (41009, 42086, two other authors' 030 and 053, by 0.1 to 2.5 of log evidence)."""
+    softens = any(column.function in ("load_warm", "softened") for column in rival.columns)
+    return named.effect == "thermal_growth" and softens and named.covariate in rival.covariates
+
+
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:
     """Whether a rival is a function of the very load that the name goes with, at the very place."""
     here = (named.frame, named.component) == (rival.frame, rival.component)

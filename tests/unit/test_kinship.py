@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ppshw.diagnosis.kinship import AKIN, ALWAYS, WOUND_UP, counts, of_its_kind
+from ppshw.diagnosis.kinship import AKIN, ALWAYS, WOUND_UP, counts, of_its_kind, stranger_than
 from ppshw.diagnosis.library import Candidate
 from ppshw.terms.shapes import Column
 
@@ -166,3 +166,15 @@ def test_a_smooth_function_of_its_own_load_is_stiffness_and_one_that_is_fine_at_
     ):
         assert not of_its_kind(named, elsewhere)
         assert counts(named, elsewhere) == 1.0
+
+
+@pytest.mark.parametrize(("effect", "place", "function", "stranger"), [
+    ("thermal_growth", "air", "load_warm", True), ("thermal_growth", "air", "softened", True),
+    ("thermal_growth", "rail", "load_warm", False), ("thermal_growth", "air", "covariate", False),
+    ("clearance", "air", "load_warm", False),
+])  # fmt: skip
+def test_compliance_that_goes_with_a_temperature_is_the_odder_story_beside_growth_that_does(
+    effect: str, place: str, function: str, stranger: bool
+) -> None:
+    named = _named(effect, "yaw", "yaw", "ty", "temp_air_C")
+    assert stranger_than(named, _rival("roll", "ty", "on_roll_Fy", f"temp_{place}_C", function=function)) is stranger

@@ -84,6 +84,37 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
 
 
+@pytest.mark.parametrize(("p", "stands"), [(0.9e-3, True), (1.1e-3, False)])
+def test_what_noise_makes_once_in_a_thousand_recordings_has_no_name(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, p: float, stands: bool
+) -> None:
+    """It is said to depend on the columns of the strongest rival without one, whatever that says."""
+    some = creep_and_riddles(space)
+    tried = Tried(space, some, 5e-5)
+    evidence = np.where([k.effect == "nameless" for k in some], 1.0, 9.0)
+    evidence[len(some) - 1] = 2.0 - tried.log_share[-1]
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (9.0, 9.0, evidence))
+    found = [Found(0, ("creep", NAME), p, 9.0, first=9.0)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert (found[0].name[0], found[0].best) == (("creep", 0) if stands else ("nameless", len(some) - 1))
+
+
+@pytest.mark.parametrize(("own", "stands"), [(99.0, False), (101.0, True)])
+def test_beside_structure_of_thousands_a_name_must_say_more_than_is_left_of_it(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, stands: bool
+) -> None:
+    """A three-hundredth of 30,000, which is what is said before the handicap."""
+    tried = Tried(space, some := creep_and_riddles(space), 5e-5)
+    said = {"nameless": 0.7 * 30_000.0, "creep": own}
+    monkeypatch.setattr(standing, "_by_itself", lambda _, __, f, ___: (said[f.name[0]], 200.0, None))
+    riddle = next(k for k, one in enumerate(some) if one.effect == "nameless")
+    found = [Found(0, ("creep", NAME), 0.0, own, first=own), Found(riddle, ("nameless", None), 0.0, 2e4, first=2e4)]
+    standing.drop_what_riddles_leave(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == (["creep"] if stands else []) + ["nameless"]
+
+
 @pytest.mark.parametrize(("own", "stands"), [(94.9, False), (95.1, True)])
 def test_a_slow_column_is_a_clock_and_costs_a_drift_its_name_only_where_it_says_more(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, own: float, stands: bool
