@@ -35,8 +35,8 @@ RIDDLE = 0.5
 # Names beside louder structure without one, in decks of three authors: 5 to 22 of log evidence were wrong in four
 # cases, 92 and 102 right.
 QUIET = 25.0
-# Structure that is louder than thousands is never followed as closely: beside a reflector that slid (its name taken out;
-# 140,000 of log evidence) the sensor seemed to err, by 29.
+# Structure that is louder than thousands is never followed as closely: beside a reflector that slid (140,000 of log
+# evidence, its name taken out) the sensor seemed to err, by 29.
 LEFT = 1 / 300
 # What noise makes once in a thousand recordings or more often says that something is there, hardly what: of names with
 # a greater p one was right and seven wrong, of all others 128 and 16 (seed 42 and a nineteenth author, with and without
