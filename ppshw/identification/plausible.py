@@ -37,7 +37,7 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     for _ in range(ROUNDS):
         size, ideal = _missed(machine, recording, kept)
         median = float(np.nanmedian(np.where(kept.seen, size, np.nan)))
-        gross = recording.seen & (size > max(GROSS_M, GROSS * median))
+        gross = recording.seen & _gross(size, median)
         if (gross == (recording.seen & ~kept.seen)).all():
             break
         kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
@@ -78,7 +78,12 @@ def far_off(errors: Array) -> NDArray[np.bool_]:
     """(N, T) whether a reading, off by `errors` (N, T, 3) [m], nan where lost, is none that a machine's errors explain:
     beside the others, and by more than 50 mm."""
     size = np.linalg.norm(errors, axis=2)
-    return np.asarray(size > max(GROSS_M, GROSS * float(np.nanmedian(size))))
+    return _gross(size, float(np.nanmedian(size)))
+
+
+def _gross(size: Array, median: float) -> NDArray[np.bool_]:
+    """Whether readings are so far off [m] beside the middle one that no machine errs like that."""
+    return np.asarray(size > max(GROSS_M, GROSS * median))
 
 
 def _copies(recording: Recording) -> NDArray[np.bool_]:
