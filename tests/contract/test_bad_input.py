@@ -285,6 +285,24 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     assert len(json.loads(said.out)["warnings"]) == 2
 
 
+def test_a_fit_that_leaves_more_than_the_ideal_machine_is_not_written(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No recording at hand makes one: what counts as no better is turned down to nothing."""
+    monkeypatch.setattr("ppshw.cli.fit.NO_BETTER", 0.0)
+    said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
+    assert said.code == 1
+    assert "mm rms where the ideal machine leaves" in said.err
+    assert not (desk / "new.json").exists()
+
+
+def test_few_visits_are_warned_of(desk: Path) -> None:
+    lines = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
+    for count in (39, 40):
+        (desk / "good.csv").write_text("\n".join(lines[: 1 + count]), encoding="utf-8")
+        said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
+        assert said.code == 0
+        assert ("visits: 39, expected 40 or more" in said.err) is (count == 39)
+
+
 def sql(*statements: str) -> Spoil:
     def spoil(path: Path) -> None:
         db = sqlite3.connect(path)
