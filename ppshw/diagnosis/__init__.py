@@ -13,7 +13,7 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import column_mistakes
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, by_its_own_form
+from ppshw.diagnosis.found import Found, by_its_own_form, size_beyond
 from ppshw.diagnosis.gross import (
     GrossErrors,
     Scatter,
@@ -101,7 +101,7 @@ def diagnose(
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
         # more; and a third time where visits come back that only looked wrong
-        riddles = [f.size for f in found if f.name[0] == "nameless"]
+        riddles = [size_beyond(space, tried.candidates[f.best], f) for f in found if f.name[0] == "nameless"]
         still = still_gross(space, gross, max(riddles, default=0.0))
         if not found or (again and still.visits == gross.visits):
             break

@@ -109,6 +109,12 @@ def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[
     return values[main], np.asarray(space.middle[main, main]), _rms(space, space.taken[:, :, every] @ values[every])
 
 
+def size_beyond(space: Workspace, candidate: Candidate, found: Found) -> float:
+    """Rms [m] of all forms of a finding beyond what the base model would take of them."""
+    every = found.columns(candidate)
+    return _rms(space, space.beyond(space.taken[:, :, every] @ space.coefficients()[1][every]))
+
+
 def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
     """Coefficients (k,) of the finding's own form and their covariance (k, k), as if it had no near forms: what a gap
     or a jump is. Beside near forms, which can be the same or its opposite, they say little."""

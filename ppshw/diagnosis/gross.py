@@ -190,15 +190,18 @@ def _beyond(distance: Array, freedom: Array, nu: float) -> Array:
 def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:
     """Those of the visits that stay wrong when what was found is taken into account (`space` has it taken up): a
     visit may have been odd by an effect that nobody knew yet, or by what the effect's form leaves where it is largest:
-    one that is moved further by what was found than it is still off is not simply wrong.
+    one that is moved further by what was found (beyond what the base model takes) than it is still off is not simply
+    wrong.
 
-    riddle  rms of structure without a name [m]: a smooth function leaves as much of it, in places several times that
+    riddle  rms of structure without a name beyond the base model [m]: a smooth function leaves as much of it, in places
+            several times that
     """
     if not gross.visits:
         return gross
     left = np.nan_to_num(space.residual())
     targets = np.sqrt(np.maximum(space.recording.seen.sum(axis=1), 1))
-    size, there = np.linalg.norm(left, axis=1) / targets, np.linalg.norm(space.moved(), axis=1) / targets
+    size = np.linalg.norm(left, axis=1) / targets
+    there = np.linalg.norm(space.beyond(space.moved()), axis=1) / targets
     white = np.einsum("nij,nj->ni", space.root, left)
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)

@@ -184,6 +184,10 @@ class Workspace:
         """(N, 3T) what was taken up does to every visit [m], base axes."""
         return np.asarray(self.taken @ self.coefficients()[1])
 
+    def beyond(self, moved: Array) -> Array:
+        """(N, 3T) what the base model leaves of a displacement (N, 3T) of every visit [m], fitted to the fit visits."""
+        return np.asarray(moved - self.design @ self.mimicked(moved))
+
     def residual(self) -> Array:
         """(N, 3T) what the fitted model leaves of every visit, held-out ones included [m]; nan where lost."""
         base, extra = self.coefficients()
