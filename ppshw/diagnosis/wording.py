@@ -117,6 +117,8 @@ def column_of(covariate: str) -> tuple[str, str]:
         tau, late = covariate.removeprefix("late_").split("_", 1)
         column, how = column_of(late)
         return column, ", ".join(filter(None, (how, f"lagging by {tau} h")))
+    if covariate == "mounting":
+        return "load", "anew whenever it was changed"
     if covariate == "former_load":
         return "load", "of the load before"
     if covariate == "pause":

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.diagnosis.library.by_instrument import MOST_TARES
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
 HALF_WAVES = (range(1, 7), range(7, 13))  # over its joint's travel, by which a frame gives way under its load
+LEAST_MOUNTED = 3  # loads one after the other, of which each may seat otherwise
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
 
 
@@ -91,6 +93,22 @@ def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[C
         beside = [name for name in candidate.covariates if name.startswith("temp_")]
         names = (*positions[: 1 if beside else 2], *beside)
         yield replace(candidate, covariate=" × ".join(names), covariates=names)
+
+
+def mounted(c: Context) -> Iterator[Candidate]:
+    """A frame comes to rest a little otherwise with every load that is put on, in one direction or in all: whatever
+    seats anew, or falls to another side, until the load is changed."""
+    stays = np.unique(named_column(c, "mounting")).astype(int).tolist()
+    if not LEAST_MOUNTED <= len(stays) <= MOST_TARES + 1:
+        return
+    for frame in range(1, c.machine.n + 1):
+        seats = [
+            [Column("frame", "seated", {"name": "mounting", "stay": s}, frame, comp) for s in stays]
+            for comp in range(6)
+        ]  # fmt: skip
+        for comp, columns in enumerate(seats):
+            yield rival(c, frame, comp, ("mounting",), columns)
+        yield rival(c, frame, None, ("mounting",), [column for columns in seats for column in columns])
 
 
 def of_what_was_read(c: Context) -> Iterator[Candidate]:

@@ -33,7 +33,7 @@ def random_seats(c: Context) -> Iterator[Candidate]:
         if not LEAST_SEATS <= len(seats) <= MOST_SEATS:
             continue
         for comp in range(6):
-            at_random = [Column("frame", "seated", {"joint": k, "stay": int(s)}, k + 1, comp) for s in seats]
+            at_random = [Column("frame", "seated", {"name": f"stay_{name}", "stay": int(s)}, k + 1, comp) for s in seats]
             yield rival(c, k + 1, comp, (f"stay_{name}",), at_random)
 
 

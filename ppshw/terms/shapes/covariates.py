@@ -24,7 +24,7 @@ def named_column(c: Context, name: str) -> Array:
     before, per hour), reach (from the base to the last frame), azimuth, elevation and distance (of the reflectors from
     the instrument, the first from its mean), incidence (of the beam along that axis of the end effector where it
     changes most), pause (since the visit before, h), load and former_load (mass of this payload and of the one before,
-    kg), previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
+    kg), mounting (how often the load was changed until then), previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
@@ -67,6 +67,8 @@ def named_column(c: Context, name: str) -> Array:
         return np.concatenate([[np.median(pauses) if len(pauses) else 0.0], pauses])
     if name == "since_load_change":
         return hours_since_change(r.load, c.hours)
+    if name == "mounting":
+        return np.concatenate([[0.0], np.cumsum(np.array(r.load[1:]) != np.array(r.load[:-1]))])
     if name in ("load", "former_load"):
         mass = payloads_of(c)[:, 0]
         return mass if name == "load" else former(mass, r.load)

@@ -61,9 +61,10 @@ def _pressed(c: Context, joint: int, component: int) -> Array:
     return np.asarray(load / max(c.frozen(f"pressed.{joint}.{component}", float(load.mean())), 1e-9) - 1.0)
 
 
-def seated(c: Context, joint: int, stay: int) -> Array:
-    """1 while a joint stays where its `stay`-th move took it, see the column stay_<joint>."""
-    return np.asarray((named_column(c, f"stay_{c.machine.joint_names[joint]}") == stay).astype(float))
+def seated(c: Context, name: str, stay: int) -> Array:
+    """1 while a joint stays where its `stay`-th move took it, or a load where it was put the `stay`-th time: see the
+    columns stay_<joint> and mounting."""
+    return np.asarray((named_column(c, name) == stay).astype(float))
 
 
 def wave(c: Context, joint: int, period: float, phase: str, pressed: int | None = None) -> Array:

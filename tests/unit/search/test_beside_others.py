@@ -12,7 +12,7 @@ import pytest
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
-from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
@@ -82,6 +82,27 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     standing.give_up(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
+
+
+@pytest.mark.parametrize(("component", "stands"), [("rx", False), ("ry", True)])
+def test_two_forms_of_one_stiffness_bend_as_a_rival_does_and_two_directions_of_it_do_not(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, component: str, stands: bool
+) -> None:
+    riddles = [replace(k, share=1.0) for k in creep_and_riddles(space) if k.effect == "nameless"][:1]
+    columns = [Column("frame", "load_power", {"frame": 3, "component": 3, "exponent": e}, 3, 3) for e in (0.5, 2.0)]
+    where = space.machine.frame_names[3]
+    forms = [
+        Candidate("nonlinear_stiffness", where, where, comp, "Mx", (column,))
+        for comp, column in zip(("rx", component), columns, strict=True)
+    ]
+    tried = Tried(space, [*forms, *riddles], 5e-5)
+    evidence = np.array([0.0, 0.0, 1736.0 - tried.log_share[-1]])
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (1376.0, 1824.0, evidence))
+    name = tried.name(0)
+    found = [Found(0, name, 0.0, 1376.0, first=1376.0), Found(1, name, 0.0, 448.0, first=448.0)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert (name in [f.name for f in found]) == stands
 
 
 @pytest.mark.parametrize(("p", "stands"), [(0.9e-3, True), (1.1e-3, False)])
