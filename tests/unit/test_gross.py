@@ -95,7 +95,7 @@ def test_beside_a_riddle_a_visit_must_be_off_by_more_than_it_leaves(bad: Workspa
 def test_a_visit_that_a_finding_moves_further_than_it_is_off_is_what_its_form_leaves(
     aside: Workspace, amount: float, kept: tuple[int, ...]
 ) -> None:
-    """Everything is thrown to and fro along one axis, in a way of which the base model takes two thirds at that visit."""
+    """Everything is thrown to and fro along one axis, and the base model takes two thirds of it at that visit."""
     sides = np.random.default_rng(3).choice([-1.0, 1.0], size=len(aside.recording))
     column = np.zeros(aside.data.shape)
     column[:, ::3] = sides[:, None]

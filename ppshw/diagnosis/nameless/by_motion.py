@@ -33,8 +33,9 @@ def random_seats(c: Context) -> Iterator[Candidate]:
         if not LEAST_SEATS <= len(seats) <= MOST_SEATS:
             continue
         for comp in range(6):
-            at_random = [Column("frame", "seated", {"name": f"stay_{name}", "stay": int(s)}, k + 1, comp) for s in seats]
-            yield rival(c, k + 1, comp, (f"stay_{name}",), at_random)
+            yield rival(c, k + 1, comp, (f"stay_{name}",), [
+                Column("frame", "seated", {"name": f"stay_{name}", "stay": int(s)}, k + 1, comp) for s in seats
+            ])  # fmt: skip
 
 
 def reversals(c: Context) -> Iterator[Candidate]:

@@ -147,7 +147,7 @@ def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace)
 
 
 def test_what_seats_anew_with_every_load_is_no_sensor_that_is_tared_anew(space: Workspace) -> None:
-    """A coupling turns a little whenever a load is put on (a twentieth author's 039 was a sensor's zero of each load)."""
+    """A coupling turns a little whenever a load is put on (another author's 20039 was a zero of each)."""
     stays = named_column(space.context, "mounting").astype(int)
     assert stays.max() + 1 == len([*itertools.groupby(space.recording.load)])
     turned = np.random.default_rng(5).normal(size=(stays.max() + 1, 3))[stays]
@@ -196,7 +196,8 @@ def test_a_guide_that_wears_where_it_is_used_does_not_grow_with_a_temperature(sp
     found, tried = look(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
     assert {f.name[0] for f in found} == {"nameless"}
     over = [set(best_of(tried, f).covariates) for f in found]
-    assert {"q_longitudinal", "time"} in over and all("q_longitudinal" in names for names in over)
+    assert {"q_longitudinal", "time"} in over
+    assert all("q_longitudinal" in names for names in over)
 
 
 def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor(space: Workspace) -> None:
