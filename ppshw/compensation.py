@@ -195,9 +195,9 @@ class Compensator:
         positions = np.einsum("nij,pj->npi", tip[:, :3, :3], where) + tip[:, None, :3, 3]
         if self.known is None:
             return np.asarray(positions[0, 0]), np.zeros(3)
-        columns, std = self.known.column_errors(now, past, base, wrenches)
         jacobian = point_jacobian(chain, positions, errors)[0, 0]
-        spread = np.concatenate([columns * std[:, None, None], self.known.unknown(now, past, base, wrenches)])
+        asked = now, past, base, wrenches
+        spread = np.concatenate([self.known.unsure(*asked), self.known.unknown(*asked)])
         moved = np.einsum("ifc,kfc->ki", jacobian, spread)
         return np.asarray(positions[0, 0]), np.asarray((moved**2).sum(axis=0))
 

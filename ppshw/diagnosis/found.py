@@ -125,11 +125,10 @@ def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tup
 
 
 def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tuple[Column, ...], Array, Array]:
-    """All columns of a finding, near forms among them, with values and standard deviations."""
+    """All columns of a finding, near forms among them, with values (k,) and their covariance (k, k)."""
     _, values = space.coefficients()
     here = found.columns(candidate)
-    std = np.sqrt(np.maximum(np.diag(space.middle), 0.0))
-    return (*candidate.columns, *found.near), values[here], std[here]
+    return (*candidate.columns, *found.near), values[here], np.asarray(space.middle[here, here])
 
 
 def _rms(space: Workspace, displacement: Array) -> float:

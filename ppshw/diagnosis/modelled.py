@@ -22,6 +22,7 @@ from ppshw.terms.shapes import Column
 from ppshw.terms.shapes.carried import region_of
 
 Array = NDArray[np.float64]
+DIGITS = 7  # of correlations in a file: of thirty near forms nearly the same, what they do together is one part in 1e4
 
 
 Pair = tuple[Found, Candidate]
@@ -47,12 +48,16 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
             continue
         name = UNNAMED if candidate.effect == "nameless" else candidate.effect
         corrects = _is_correction(candidate)
-        columns, values, std = modelled(whole if corrects else alone, candidate, f)
+        columns, values, covariance = modelled(whole if corrects else alone, candidate, f)
         own, _, rms = coefficients(whole if corrects else alone, candidate, f)
         said = answered.pop((name, candidate.joint), None) or sentence(space.context, candidate, own, rms)
         if corrects:
             said += f" It is carried without a name, as {in_words(columns, space.machine)}."
-        effects.append(Effect(name, candidate.joint, columns, tuple(values.tolist()), tuple(std.tolist()), said))
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        correlation = np.round(covariance / np.maximum(np.outer(std, std), 1e-300), DIGITS).tolist()
+        # a Gaussian process keeps what is unsure of it with its own columns
+        rows = () if corrects or len(std) == 1 else tuple(tuple(row) for row in correlation)
+        effects.append(Effect(name, candidate.joint, columns, tuple(values.tolist()), tuple(std.tolist()), said, rows))
     if corrections:
         effects = _joined(effects, _instead(whole, alone, [p for p in found if p[0].carried], corrections))
     recording = space.recording.subset(space.fit)

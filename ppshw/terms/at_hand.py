@@ -141,19 +141,22 @@ class KnownEffects:
                 self._add(out, effect, column, value, context)
         return out
 
-    def column_errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
-        """Per coefficient (k, n+1, 6) of its unit, and the coefficients' standard deviations (k,). Of a Gaussian
-        process nothing is used: the whole of it stays unsure, per component."""
+    def unsure(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
+        """What the effects may do besides as their values are not known better: (k, n+1, 6) [m, rad], the sum of whose
+        squares is the variance that this brings to any displacement. Of a Gaussian process nothing is used: the whole
+        of it stays unsure, per component."""
         context = self._context(now, past, base, wrenches)
-        columns = [(e, c, s) for e in self.effects for c, s in zip(e.columns, e.std, strict=True)
-                   if c.function not in ("unexplained", "instead")]  # fmt: skip
-        out = np.zeros((len(columns), *base.shape[1:]))
-        for k, (effect, column, _) in enumerate(columns):
-            self._add(out[k : k + 1], effect, column, 1.0, context)
-        whole = [e.columns[0] for e in self.effects if e.columns[0].function == "unexplained"]
-        more = [self._on_frame(c, s) for c in whole for s in np.diag(c.args["amplitude"])]
-        std = np.array([s for _, _, s in columns] + [1.0] * len(more))
-        return np.concatenate([out, np.array(more).reshape(-1, *base.shape[1:])]), std
+        out = []
+        for effect in self.effects:
+            first = effect.columns[0]
+            if first.function == "unexplained":
+                out += [self._on_frame(first, size)[None] for size in np.diag(first.args["amplitude"])]
+                continue
+            units = np.zeros((len(effect.columns), *base.shape[1:]))
+            for k, column in enumerate(effect.columns):
+                self._add(units[k : k + 1], effect, column, 1.0, context)
+            out.append(np.tensordot(effect.spread, units, axes=1))
+        return np.concatenate(out) if out else np.zeros((0, *base.shape[1:]))
 
     def unknown(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
         """What else the effects may do by what is not known at `now`: (k, n+1, 6) [m, rad], the sum of whose squares is

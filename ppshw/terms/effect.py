@@ -20,7 +20,7 @@ UNNAMED = "unexplained"  # what a correction without a name is called
 @dataclass(frozen=True)
 class Effect:
     """name: the contract's; joint: where, None for none; columns with values and standard deviations (k,);
-    sentence: what it is in plain words."""
+    sentence: what it is in plain words; correlation: (k, k) of the values' errors, empty where they have none."""
 
     name: str
     joint: str | None
@@ -28,6 +28,16 @@ class Effect:
     values: tuple[float, ...]
     std: tuple[float, ...]
     sentence: str
+    correlation: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def spread(self) -> Array:
+        """(k, k) whose rows, each of one independent unit normal, are together how unsure the values are."""
+        std = np.array(self.std)
+        if not self.correlation:
+            return np.diag(std)
+        size, ways = np.linalg.eigh(np.array(self.correlation))
+        return np.asarray((ways * np.sqrt(np.maximum(size, 0.0))).T * std)
 
     @property
     def places(self) -> list[str]:
@@ -38,6 +48,7 @@ class Effect:
         return {
             "effect": self.name, "joint": self.joint, "sentence": self.sentence,
             "columns": [c.as_dict() for c in self.columns], "values": list(self.values), "std": list(self.std),
+            "correlation": [list(row) for row in self.correlation],
         }  # fmt: skip
 
     @classmethod
@@ -46,7 +57,10 @@ class Effect:
         values, std = (tuple(float(x) for x in data[key]) for key in ("values", "std"))
         if not len(columns) == len(values) == len(std):
             raise ValueError(f"{len(values)} values for {len(columns)} columns of {data['effect']}")
-        return cls(data["effect"], data["joint"], columns, values, std, data["sentence"])
+        correlation = tuple(tuple(float(x) for x in row) for row in data.get("correlation", ()))
+        if correlation and np.shape(correlation) != (len(std), len(std)):
+            raise ValueError(f"correlation of {data['effect']} is not of {len(std)} by {len(std)}")
+        return cls(data["effect"], data["joint"], columns, values, std, data["sentence"], correlation)
 
 
 def displacement(

@@ -261,6 +261,33 @@ def test_a_temperature_that_nobody_knows_makes_unsure_by_what_it_ran_through() -
     assert along_y(compensator, around=Around(temperatures={"rail": 22.0})) < 1e-9
 
 
+def test_forms_of_which_only_the_sum_is_known_make_no_more_unsure_than_their_sum() -> None:
+    """Growth in two forms: each alone known to a fifth of its size, together to a fiftieth, as errors that cancel."""
+    steady = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    late = replace(steady, args={"place": "rail", "tau": 1.0})
+    size, rho = 1e-5, -0.995
+    std = 0.2 * size
+    both = Effect("thermal_growth", "vertical", (steady, late), (size, size), (std, std), "by hand")
+    related = replace(both, correlation=((1.0, rho), (rho, 1.0)))
+    assert np.allclose(related.spread.T @ related.spread, std**2 * np.array([[1.0, rho], [rho, 1.0]]))
+    assert Effect.from_dict(json.loads(json.dumps(related.as_dict()))) == related
+    reference, warmer = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}, Around(temperatures={"rail": 26.0})
+    more = [
+        along_y(Compensator(replace(base()[1], effects=(effect,), reference=reference)), around=warmer)
+        for effect in (both, related)
+    ]
+    assert more[0] == pytest.approx(4.0 * std * np.sqrt(2.0), rel=0.05)
+    assert more[1] == pytest.approx(4.0 * std * np.sqrt(2.0 + 2.0 * rho), rel=0.05)
+
+
+@pytest.mark.parametrize("rows", [[[1.0]], [[1.0, 0.0]]])
+def test_a_correlation_of_another_size_is_refused(rows: list[list[float]]) -> None:
+    column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    effect = Effect("backlash", "vertical", (column, column), (1.0, 1.0), (1.0, 1.0), "by hand")
+    with pytest.raises(ValueError, match="correlation of backlash is not of 2 by 2"):
+        Effect.from_dict({**effect.as_dict(), "correlation": rows})
+
+
 def test_a_drift_makes_unsure_by_how_far_it_went() -> None:
     """Linear over eight hours: its standard deviation is 8 / √12."""
     column = Column("frame", "clock", {"form": "linear", "tau": 1.0}, 0, TY)
