@@ -90,6 +90,11 @@ def diagnose(
         believed[list(gross.visits)] = False
     if gross.visits or gross.at_a_place:
         space = prepare(machine, recording, believed, None, None, gross.at_a_place)
+        # beside one that is metres off its neighbours looked wrong too
+        if (still := still_gross(space, gross)).visits != gross.visits:
+            gross, believed = still, everything.copy()
+            believed[list(gross.visits)] = False
+            space = prepare(machine, recording, believed, None, None, gross.at_a_place)
     del calmed
     tell(2, 10)
     # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
@@ -173,7 +178,7 @@ def _as_believed(space: Workspace, base: Estimate, believed: Mask) -> Estimate:
 
 def _without(space: Workspace) -> Recording:
     """The recording as it would be without what was found."""
-    shift = space.moved().reshape(space.recording.points.shape)
+    shift = space.beyond(space.moved()).reshape(space.recording.points.shape)
     return replace(space.recording, points=space.recording.points - shift @ space.base.measuring_in_base[:3, :3])
 
 

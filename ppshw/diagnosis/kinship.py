@@ -68,6 +68,8 @@ def of_its_kind(
             return held or (both_of_a_load and _of_its_load(named, rival))
         case "nonlinear_stiffness":
             return _of_its_load(named, rival) and all(column.function in SMOOTH for column in rival.columns)
+        case "moving_weight":
+            return all(column.function == "own_weight" for column in rival.columns)
         case "wrench_error":
             return all(column.function in READ for column in rival.columns)
     return False

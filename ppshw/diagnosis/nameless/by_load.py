@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.library.by_instrument import MOST_TARES
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
+from ppshw.diagnosis.library.weight import LEAST_MOMENT
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -86,13 +87,24 @@ def _bends_most(c: Context, frame: int) -> int | None:
 
 
 def _by_positions(c: Context, found: list[Candidate], load: Array) -> Iterator[Candidate]:
-    """Where no sensor says what hangs there, a frame bears the machine's own weight (N,): what depends on it is said to
-    depend on the positions it changes with most."""
+    """Where a frame bears the machine's own weight alone (N,), as where no sensor says what hangs there: what depends
+    on it is said to depend on the positions it changes with most."""
     positions = most_alike(c, load)
     for candidate in found:
         beside = [name for name in candidate.covariates if name.startswith("temp_")]
         names = (*positions[: 1 if beside else 2], *beside)
         yield replace(candidate, covariate=" × ".join(names), covariates=names)
+
+
+def by_own_weight(c: Context) -> Iterator[Candidate]:
+    """A frame gives way to the weight of the machine's own bodies other than to what the end effector bears."""
+    for frame in range(1, c.machine.n + 1):
+        for b in range(3, 6):
+            column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
+            load = column.value(c)
+            if float(np.std(load)) > LEAST_MOMENT:
+                gives_way = rival(c, frame, b, (), [column])
+                yield from _by_positions(c, [gives_way], load)
 
 
 def mounted(c: Context) -> Iterator[Candidate]:
