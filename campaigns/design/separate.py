@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 # Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis-method.md §7).
 ENOUGH = 6.0
-FORMS = 8  # of each name
+FORMS, MANY = 8, 60  # of each name, to choose visits by; to say how much alike two names may be
 TAIL = 12  # visits before a block that its history is computed from
 AMPLITUDE = 3.0  # of the other effect, in units of the repeatability
 MOST_VISITS = 30
@@ -67,8 +67,9 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Separation:
-    """rows: per pair, √λ before and after, each effect taken for the other; text: the script; blocks: in its order,
-    none where all are told apart already (or nothing helps) and there is no script."""
+    """rows: per pair, √λ before and after, each effect taken for the other, of the middling form, and before of the
+    form that is most alike; text: the script; blocks: in its order, none where all are told apart already (or nothing
+    helps) and there is no script."""
 
     rows: list[dict[str, Any]]
     blocks: tuple[Block, ...]
@@ -78,7 +79,9 @@ class Separation:
     def why_none(self) -> str:
         """Why there are no blocks."""
         if all(r["before"] >= ENOUGH for r in self.rows):
-            return f"told apart already (√λ of {ENOUGH:g} is enough): nothing written"
+            nearest = min(r["nearest"] for r in self.rows)
+            alike = f"; the forms most alike stay so (√λ {nearest:.1f})" if nearest < ENOUGH else ""
+            return f"middling forms are told apart already (√λ of {ENOUGH:g} is enough){alike}: nothing written"
         return "not told apart, and none of the visits tried would help (as many as --visits allows): nothing written"
 
     def lines(self) -> list[str]:
@@ -102,13 +105,13 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     offered = blocks(machine, cases, which, wanted.seed)
     whole = _followed_by(recording, offered, machine)
     theta = belief.theta + springs(belief.model, belief.strengths)
-    frame = machine.tracker.frame
-    rich = Context.of(belief.model, theta, whole, frame)
-    columns, pairs = _columns(rich, wanted)
-    sizes = np.array([_rms(c.evaluate(rich), whole) for c in columns])
-    scale = np.where(sizes > 1e-15, unit / np.maximum(sizes, 1e-15), 0.0)
-    laid = _Laid(belief, theta, frame, rich.reference, columns, scale)
+    rich = Context.of(belief.model, theta, whole, machine.tracker.frame)
+    columns, pairs = _columns(rich, wanted, FORMS)
+    laid = _Laid.at_repeatability(belief, theta, rich, columns, unit)
     state = laid.state(recording)
+    every, all_pairs = _columns(rich, wanted, MANY)
+    with_many = _Laid.at_repeatability(belief, theta, rich, every, unit).state(recording)
+    nearest = [pair.strengths(with_many.s).min() for pair in all_pairs]
     before = state.copy()
     tail = recording.subset(np.arange(max(0, len(recording) - TAIL), len(recording)))
     rows = []
@@ -122,8 +125,8 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     after = laid.state(_followed_by(recording, picked, machine)) if picked else before
     table = [
         {"effect": pair.of[0], "joint": pair.of[1], "for": pair.by[0], "for_joint": pair.by[1],
-         "before": pair.strength(before.s), "after": pair.strength(after.s)}
-        for pair in pairs
+         "before": pair.strength(before.s), "after": pair.strength(after.s), "nearest": float(least)}
+        for pair, least in zip(pairs, nearest, strict=True)
     ]  # fmt: skip
     seconds = float(sum(block.seconds(machine).sum() for block in picked))
     return Separation(table, picked, _script(wanted, picked, table), seconds)
@@ -188,15 +191,19 @@ class _Pair:
 
     def strength(self, s: Array) -> float:
         """√λ of the middling form: one that is easily told apart shall not speak for the others."""
+        return float(np.sqrt(np.median(self.strengths(s) ** 2)))
+
+    def strengths(self, s: Array) -> Array:
+        """(F,) √λ of every form."""
         cross = self.forms @ s[:, self.rivals]
         inner = s[np.ix_(self.rivals, self.rivals)] + np.eye(len(self.rivals)) / AMPLITUDE**2
         left = np.einsum("fk,kl,fl->f", self.forms, s, self.forms)
         left -= np.einsum("fb,bf->f", cross, np.linalg.solve(inner, cross.T))
-        return float(np.sqrt(max(0.0, float(np.median(left)))))
+        return np.asarray(np.sqrt(np.maximum(left, 0.0)))
 
 
-def _columns(rich: Context, wanted: Wanted) -> tuple[list[Column], list[_Pair]]:
-    """Columns of all forms of both effects, each once, and the pairs of names to be told apart."""
+def _columns(rich: Context, wanted: Wanted, most: int) -> tuple[list[Column], list[_Pair]]:
+    """Columns of at most so many forms of each name, each column once, and the pairs of names to be told apart."""
     every = library(rich)
     forms: dict[Name, list[Candidate]] = {}
     for effect in wanted.effects:
@@ -206,7 +213,7 @@ def _columns(rich: Context, wanted: Wanted) -> tuple[list[Column], list[_Pair]]:
             raise CampaignError(
                 f"--to-separate: '{effect}' has no form that these visits could show (there are: {', '.join(known)})"
             )
-        for k in thinned(mine, FORMS)[0]:
+        for k in thinned(mine, most)[0]:
             forms.setdefault((effect, k.joint), []).append(k)
     a, b = wanted.effects
     met = [
@@ -278,6 +285,15 @@ class _Laid:
     reference: dict[str, float]
     columns: Sequence[Column]
     scale: Array
+
+    @classmethod
+    def at_repeatability(
+        cls, belief: Belief, theta: Array, rich: Context, columns: Sequence[Column], unit: float
+    ) -> _Laid:
+        """Every column as large as the repeatability `unit` [m], rms over the recording of a context."""
+        sizes = np.array([_rms(c.evaluate(rich), rich.recording) for c in columns])
+        scale = np.where(sizes > 1e-15, unit / np.maximum(sizes, 1e-15), 0.0)
+        return cls(belief, theta, rich.measuring_in_base, rich.reference, columns, scale)
 
     def state(self, recording: Recording) -> _State:
         x, f = self.rows(recording, len(recording))

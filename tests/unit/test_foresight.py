@@ -161,8 +161,12 @@ def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_
     found = separate(Wanted(machine, effects, "vertical", sweeps, 2, 1, "next", "a test"))  # no block is as short
     assert not found.blocks
     assert found.why_none().startswith("not told apart, and none of the visits tried would help")
-    apart = replace(found, rows=[{**r, "before": 6.1, "after": 6.1} for r in found.rows])
-    assert apart.why_none() == "told apart already (√λ of 6 is enough): nothing written"
+    assert all(0 <= r["nearest"] <= r["before"] + 0.1 for r in found.rows)
+    apart = replace(found, rows=[{**r, "before": 6.1, "after": 6.1, "nearest": 1.26} for r in found.rows])
+    said = "middling forms are told apart already (√λ of 6 is enough)"
+    assert apart.why_none() == f"{said}; the forms most alike stay so (√λ 1.3): nothing written"
+    apart = replace(found, rows=[{**r, "nearest": 6.1} for r in apart.rows])
+    assert apart.why_none() == f"{said}: nothing written"
 
 
 def test_an_effect_that_does_not_exist_cannot_be_separated(machine: Machine, sweeps: Plan) -> None:
