@@ -70,7 +70,7 @@ class Mistake:
         return {
             "effect": "column_mistake", "joint": None, "frame": None, "component": None, "covariate": self.column,
             "region": None, "parameters": factor,
-            "p_value": 0.0, "rms_mm": None, "weight": 1.0, "alternatives": [],
+            "p_value": 0.0, "rms_mm": None, "weight": 1.0, "alternatives": [], "aliases": [],
             "sentence": f"{self.subject} {self.what}; {how}.",
         }  # fmt: skip
 

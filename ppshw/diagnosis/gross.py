@@ -67,7 +67,8 @@ class GrossErrors:
                 "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
                 "region": [v + 1 for v in visits],
                 "parameters": {"visits": {"value": len(visits), "std": 0, "unit": "1"}},
-                "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "sentence": sentence,
+                "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "aliases": [],
+                "sentence": sentence,
             }
         ]  # fmt: skip
 
@@ -273,6 +274,7 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False, nameless: boo
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
         "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
+        "aliases": [],
         "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
     evenly = strength[k, 0] * ranges[0]  # as it would be with noise that grows alike in all directions

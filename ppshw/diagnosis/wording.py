@@ -78,7 +78,7 @@ def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
     """Of a finding: its effect, another one that it may well be, and the joint where both are (None: at several), as
     `ppshw plan --to-separate` takes them; None where nothing is left to separate."""
     likely = [k for k in said["alternatives"] if k["weight"] >= WEIGHT_TOLD]
-    close = [k for k in said.get("aliases", ()) if k["sqrt_lambda_apart"] < TOLD_APART]  # what is wrong has none
+    close = [k for k in said["aliases"] if k["sqrt_lambda_apart"] < TOLD_APART]
     for rival in (*likely, *close):
         if rival["effect"] not in ("nameless", said["effect"]):
             same = rival["joint"] in (None, said["joint"])
