@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,6 +45,11 @@ class Found:
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""
         return slice(self.at, self.at + len(candidate.columns) + len(self.near))
+
+
+def pieces_of(f: Found, found: Sequence[Found]) -> list[Found]:
+    """The other findings of its name, one effect with it; of what has no name none."""
+    return [g for g in found if g is not f and g.name == f.name and f.name[0] != "nameless"]
 
 
 def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool = True) -> None:
@@ -109,10 +115,15 @@ def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[
     return values[main], np.asarray(space.middle[main, main]), _rms(space, space.taken[:, :, every] @ values[every])
 
 
+def moved_by(space: Workspace, candidate: Candidate, found: Found) -> Array:
+    """(N, 3T) what all forms of a finding do to every visit [m], base axes."""
+    every = found.columns(candidate)
+    return np.asarray(space.taken[:, :, every] @ space.coefficients()[1][every])
+
+
 def size_beyond(space: Workspace, candidate: Candidate, found: Found) -> float:
     """Rms [m] of all forms of a finding beyond what the base model would take of them."""
-    every = found.columns(candidate)
-    return _rms(space, space.beyond(space.taken[:, :, every] @ space.coefficients()[1][every]))
+    return _rms(space, space.beyond(moved_by(space, candidate, found)))
 
 
 def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, take_up
+from ppshw.diagnosis.found import Found, by_its_own_form, pieces_of, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD, counts, never_turned, of_its_kind, stranger_than
 from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
@@ -63,7 +63,7 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             cause = f.name[0], tried.candidates[f.best].covariate
             if f.name[0] == "nameless" or f.name in stand:
                 continue
-            pieces = [g for g in found if g.name == f.name and g is not f]
+            pieces = pieces_of(f, found)
             others = [g for g in found if g is not f and g not in pieces]
             against = _against_physics(space, tried, f)
             own, every, evidence = _by_itself(space, tried, f, others, pieces)
@@ -105,7 +105,8 @@ def drop_what_riddles_leave(space: Workspace, tried: Tried, found: list[Found]) 
         return
 
     def said(f: Found) -> float:
-        return _by_itself(space, tried, f, [g for g in found if g is not f])[0]
+        pieces = pieces_of(f, found)
+        return _by_itself(space, tried, f, [g for g in found if g is not f and g not in pieces])[0]
 
     loudest = max(said(f) for f in riddles) / HANDICAP
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, coefficients, explained, take_up
+from ppshw.diagnosis.found import Found, coefficients, explained, pieces_of, take_up
 from ppshw.diagnosis.parameters import spread_of
 from ppshw.diagnosis.workspace import Workspace
 
@@ -26,14 +26,16 @@ SOFT, MAY_BE_PLAY = 8.0, 0.7
 
 
 def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """Posterior weights of the names for every finding, given the others; at least OUTSIDE for no name at all.
+    """Posterior weights of the names for every finding, given those of other names; at least OUTSIDE for no name at
+    all.
 
     A name that was preferred for what it explains with all its near forms, though another's bare form says more, is as
     much ahead of that one as the two sets are apart.
     """
     whole = explained(space, tried, found)
     for f in found:
-        others = [g for g in found if g is not f]
+        pieces = pieces_of(f, found)
+        others = [g for g in found if g is not f and g not in pieces]
         take_up(space, tried, others)
         every, names = tried.said()
         f.spread = spread_of(tried, f.best, every)

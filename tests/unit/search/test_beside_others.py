@@ -17,6 +17,7 @@ from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import SHADOW, caster_of
+from ppshw.diagnosis.weights import weigh
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import (
@@ -170,6 +171,27 @@ def test_a_name_that_goes_with_time_alone_is_left_of_a_riddle_ten_times_as_loud_
     standing.drop_what_riddles_leave(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == ([effect] if stands else []) + ["nameless"]
+
+
+def test_two_waves_of_nearly_one_period_are_one_effect_and_speak_together(space: Workspace) -> None:
+    """Each says next to nothing beside the other; both were dropped beside a riddle, or weighed nothing."""
+    waves = [k for k in named(space, "periodic_transmission") if k.joint == NAME and len(k.columns) == 2]
+    wave = sorted(waves, key=lambda k: k.shape["period"])[4]
+    longer = tuple(replace(c, args={**c.args, "period": 1.0001 * c.args["period"]}) for c in wave.columns)
+    waves = [wave, replace(wave, columns=longer)]
+    riddle = next(k for k in named(space, "nameless") if k.covariates == ("time",) and k.frame == "base")
+    some = [*waves, *named(space, "backlash"), riddle]
+    both = sum(column.evaluate(space.context) for k in waves for column in k.columns[:1])
+    slow = riddle.columns[0].evaluate(space.context)
+    there = replace(space, data=space.data + of_size(space, both, 1) + of_size(space, slow, 8))
+    tried = Tried(there, some, 5e-5)
+    name = tried.name(0)
+    found = [Found(j, tried.name(j), 0.0, 50.0, first=50.0) for j in (0, 1, len(some) - 1)]
+    take_up(there, tried, found)
+    standing.drop_what_riddles_leave(there, tried, found)
+    assert [f.name for f in found] == [name, name, ("nameless", None)]
+    weigh(there, tried, found)
+    assert found[0].weights[name] > 0.9
 
 
 def test_a_jump_of_another_joint_at_another_moment_is_not_what_a_jump_left(
