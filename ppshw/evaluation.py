@@ -20,6 +20,7 @@ from ppshw.terms.effect import UNNAMED, displacement
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid
+from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ def figures(errors: Array) -> dict[str, float]:
         "rms_mm": float(np.sqrt((size**2).mean())),
         "median_mm": float(np.median(size)),
         "p95_mm": float(np.quantile(size, 0.95)),
-        "p98_6_mm": float(np.quantile(size, 0.986)),
+        "p98_6_mm": float(np.quantile(size, QUANTILE)),
         "max_mm": float(size.max()),
     }
 
