@@ -27,19 +27,11 @@ from ppshw.recording import load_recording
 from ppshw.terms import Situation
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
+from tests.unit.small_campaign import SLIDE
 
 ROOT = Path(__file__).parents[2]
 # A carriage with a turning arm on it: two joints, so that a design takes a second.
-SMALL = """\
-name: small
-gravity: [0, 0, -9.80665]
-joints:
-  - name: slide
-    type: prismatic
-    axis: [1, 0, 0]
-    limits: {lower: -0.5, upper: 0.5, velocity: 0.1, acceleration: 0.1}
-    link: {mass: 300, com: [0, 0, 0.1]}
-    elastic: {loads: [Fz, Mx, My], varies: false}
+SMALL = f"name: small\n{SLIDE}" + """\
   - name: turn
     type: revolute
     origin: {xyz: [0, 0, 0.5], rpy: [0, 0, 0]}
