@@ -52,8 +52,8 @@ def _fitted_frame(recording: Recording, predicted: Array) -> Array:
 
 
 def nominal_residuals(recording: Recording, machine: Machine, refit_base: bool = False) -> Array:
-    """The same for the ideal machine. Where the measuring frame is unknown it is fitted to this very recording, and so
-    are the targets if they are: figures that flatter."""
+    """The same, (N, T, 3) [m], for the ideal machine. Where the measuring frame is unknown it is fitted to this very
+    recording, and so are the targets if they are: figures that flatter."""
     frame, targets = machine.tracker.base, machine.target_array
     if frame is None or refit_base:
         frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
