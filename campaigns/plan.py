@@ -14,10 +14,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from campaigns.script import LoadCase, PosesStep, RandomStep, ReversalsStep, Script, Step, SweepStep
-from drivers.axis_config import trapezoid_time
 from ppshw import kinematics
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Machine
@@ -301,27 +300,34 @@ def _at(home: Array, q: Mapping[str, float], machine: Machine, where: str) -> Ar
 
 
 # --- how long ------------------------------------------------------------------------------------------------
+def travel(joints: Sequence[Joint], a: ArrayLike, b: ArrayLike) -> Array:
+    """Seconds from positions a (..., n) to b (..., n) [m, rad] of n joints: all start together, the slowest decides.
+
+    From rest to rest, a trapezoid, or a triangle where the way d is too short for full speed: d/v + v/a or 2 √(d/a).
+    As fast as the machine file allows: what a site makes slower (drivers.axis_config) is not known here.
+    """
+    v = np.array([(j.limits and j.limits.velocity) or VELOCITY_GUESS for j in joints])
+    rate = np.array([(j.limits and j.limits.acceleration) or ACCELERATION_GUESS for j in joints])
+    way = np.abs(np.asarray(b, dtype=float) - np.asarray(a, dtype=float))
+    seconds = np.where(way >= v**2 / rate, way / v + v / rate, 2.0 * np.sqrt(way / rate))
+    return np.asarray(seconds.max(axis=-1))
+
+
 def travel_time(joint: Joint, distance: float) -> float:
-    """As fast as the machine file allows: what a site makes slower is not known here.  [s]"""
-    velocity = (joint.limits and joint.limits.velocity) or VELOCITY_GUESS
-    acceleration = (joint.limits and joint.limits.acceleration) or ACCELERATION_GUESS
-    return trapezoid_time(distance, velocity, acceleration)
+    """Of one joint alone.  [s]"""
+    return float(travel((joint,), (0.0,), (distance,)))
 
 
 def _durations(visits: Sequence[Visit], script: Script, machine: Machine, home: Array) -> tuple[float, ...]:
-    out: list[float] = []
-    here, load = tuple(home.tolist()), visits[0].load if visits else ""
-    for visit in visits:
-        seconds = script.settle_s + script.measure_s * len(visit.targets)
-        seconds += script.load_change_s if visit.load != load else 0.0
-        for there in [visit.via, visit.setpoints] if visit.via else [visit.setpoints]:
-            seconds += max(
-                travel_time(j, abs(b - a)) for j, a, b in zip(machine.joints, here, there, strict=True)
-            )
-            here = there
-        load = visit.load
-        out.append(seconds)
-    return tuple(out)
+    if not visits:
+        return ()
+    there = np.array([v.setpoints for v in visits])
+    here = np.vstack([home, there[:-1]])
+    between = np.array([v.via or tuple(a) for v, a in zip(visits, here.tolist(), strict=True)])
+    seconds = travel(machine.joints, here, between) + travel(machine.joints, between, there)
+    seconds += script.settle_s + script.measure_s * np.array([len(v.targets) for v in visits])
+    changed = np.array([b.load != a.load for a, b in zip((visits[0], *visits), visits, strict=False)])
+    return tuple((seconds + script.load_change_s * changed).tolist())
 
 
 def _digest(visits: Sequence[Visit], script: Script, machine: Machine) -> str:

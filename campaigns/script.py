@@ -19,6 +19,8 @@ from ppshw.strict_yaml import Section, read_yaml
 
 DIRECTIONS = ("up", "down", "both")
 ORDERS = ("by_load", "as_written")
+# Where a script does not say: to stand still, for one target, to put another load on [s].
+SETTLE_S, MEASURE_S, LOAD_CHANGE_S = 5.0, 4.0, 600.0
 
 
 @dataclass(frozen=True)
@@ -175,9 +177,9 @@ def load_script(path: Path | str) -> Script:
         home=_joint_values(top, "home"),
         home_margin=top.number("home_margin", default=0.0, low=0.0, high=0.5),
         targets=targets,
-        settle_s=top.number("settle_s", default=5.0, low=0.0),
-        measure_s=top.number("measure_s", default=4.0, low=0.0),
-        load_change_s=top.number("load_change_s", default=600.0, low=0.0),
+        settle_s=top.number("settle_s", default=SETTLE_S, low=0.0),
+        measure_s=top.number("measure_s", default=MEASURE_S, low=0.0),
+        load_change_s=top.number("load_change_s", default=LOAD_CHANGE_S, low=0.0),
         on_lost_beam=top.text("on_lost_beam", default="stop", choices=("stop", "skip")),
         order=top.text("order", default="by_load", choices=ORDERS),
         baseline=top.flag("baseline", default=True),

@@ -20,6 +20,7 @@ from ppshw.terms.effect import UNNAMED, displacement
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid
+from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
 
@@ -51,8 +52,8 @@ def _fitted_frame(recording: Recording, predicted: Array) -> Array:
 
 
 def nominal_residuals(recording: Recording, machine: Machine, refit_base: bool = False) -> Array:
-    """The same for the ideal machine. Where the measuring frame is unknown it is fitted to this very recording, and so
-    are the targets if they are: figures that flatter."""
+    """The same, (N, T, 3) [m], for the ideal machine. Where the measuring frame is unknown it is fitted to this very
+    recording, and so are the targets if they are: figures that flatter."""
     frame, targets = machine.tracker.base, machine.target_array
     if frame is None or refit_base:
         frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
@@ -73,7 +74,7 @@ def figures(errors: Array) -> dict[str, float]:
         "rms_mm": float(np.sqrt((size**2).mean())),
         "median_mm": float(np.median(size)),
         "p95_mm": float(np.quantile(size, 0.95)),
-        "p98_6_mm": float(np.quantile(size, 0.986)),
+        "p98_6_mm": float(np.quantile(size, QUANTILE)),
         "max_mm": float(size.max()),
     }
 

@@ -26,8 +26,8 @@ from ppshw.recording_file import RecordingFile, is_sqlite
 Array = NDArray[np.float64]
 # A setpoint may stand this far outside its limit before it counts: the text of a file has few decimals.
 LIMIT_ROUNDING = 1e-6
-# No instrument says more than this in any of its units; beyond, it is a damaged cell whose square would overflow.
 STANDSTILL = 1e-5  # of a joint's travel: what is less is the encoder's noise
+# No instrument says more than this in any of its units; beyond, it is a damaged cell whose square would overflow.
 LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there

@@ -96,6 +96,8 @@ def returns_of(
 
     Deviations are measured − wanted, less the group's mean, so that a compensated recording, whose setpoints follow
     the measured load, counts as returning to one pose. Raises RecordingError when no pose was visited twice.
+
+    measuring_in_base  (4, 4) as in `point_errors`
     """
     errors = point_errors(recording, machine, point, measuring_in_base)
     wanted = np.round(wanted_joints(recording), POSE_DECIMALS)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaigns.design.choose import inside
-from campaigns.plan import travel_time
-from campaigns.script import LoadCase
+from campaigns.plan import travel
+from campaigns.script import LOAD_CHANGE_S, MEASURE_S, SETTLE_S, LoadCase
 from ppshw.machine import Machine
 
 Array = NDArray[np.float64]
@@ -27,7 +27,6 @@ FAR = 0.35
 # What is put on in parts, so that moments come close to zero from either side.
 PARTS = (0.3, 0.6, 1.0)
 HOLD = 6  # visits of a hold after a load change
-SETTLE_S, MEASURE_S, LOAD_CHANGE_S = 5.0, 4.0, 600.0  # the script's defaults
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,9 @@ class Block:
     def seconds(self, machine: Machine) -> Array:
         """(V,) of every visit, the load change before the first where there is a load."""
         here = np.vstack([self.q[:1], self.q[:-1]])
-        travel = [
-            max(travel_time(j, abs(b - a)) for j, a, b in zip(machine.joints, one, two, strict=True))
-            for one, two in zip(here, self.q, strict=True)
-        ]
-        out = np.array(travel) + SETTLE_S + MEASURE_S * len(machine.targets)
+        out = travel(machine.joints, here, self.q) + SETTLE_S + MEASURE_S * len(machine.targets)
         out[0] += LOAD_CHANGE_S if self.case.mass > 0 else 0.0
-        return np.asarray(out)
+        return out
 
 
 def blocks(machine: Machine, cases: Sequence[LoadCase], joints: Sequence[int], seed: int) -> list[Block]:

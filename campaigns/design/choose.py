@@ -39,6 +39,7 @@ class Chosen:
 
 
 def situation(machine: Machine, q: Array, load: Indices, cases: Sequence[LoadCase]) -> Situation:
+    """Visits at q (N, n) [m, rad], each under the load case that load (N,) is the index of."""
     mass, centre = np.array([c.mass for c in cases]), np.array([c.com for c in cases])
     return Situation(q, wrench(machine, q, mass[load], centre[load]))
 

@@ -20,6 +20,7 @@ from scipy.stats import qmc
 from campaigns.design.belief import Belief
 from campaigns.design.loads import LoadRange, wrench
 from ppshw.terms import Situation
+from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,7 +28,6 @@ Mask = NDArray[np.bool_]
 # choice's business: they keep their prior.
 UNSEEN = 0.03
 TESTS = 512
-QUANTILE = 0.986
 DRAWS = 64
 CHUNK = 384
 

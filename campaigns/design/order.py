@@ -20,7 +20,7 @@ from pyvrp import Model, Route, Solution
 from pyvrp.stop import MaxIterations
 
 from campaigns.design.bound import lower_bound
-from campaigns.plan import ACCELERATION_GUESS, VELOCITY_GUESS
+from campaigns.plan import travel
 from ppshw.machine import Machine
 
 Array = NDArray[np.float64]
@@ -38,23 +38,11 @@ class Rounds:
     bound: float
 
 
-def travel(machine: Machine, a: Array, b: Array) -> Array:
-    """Seconds from poses a (..., n) to poses b (..., n): joints start together, the slowest decides.
-
-    The same law as `drivers.axis_config.trapezoid_time`, for many.
-    """
-    speeds = [((j.limits and j.limits.velocity) or VELOCITY_GUESS) for j in machine.joints]
-    rates = [((j.limits and j.limits.acceleration) or ACCELERATION_GUESS) for j in machine.joints]
-    v, g, distance = np.array(speeds), np.array(rates), np.abs(a - b)
-    seconds = np.where(distance >= v**2 / g, distance / v + v / g, 2.0 * np.sqrt(distance / g))
-    return np.asarray(seconds.max(axis=-1))
-
-
 def shortest_rounds(
     machine: Machine, reference: Array, q: Array, sizes: Sequence[int], seed: int, iterations: int | None = None
 ) -> Rounds:
     """Visits q (N, n) of one load as rounds from `reference` (n,) of these sizes (in all N), the last one last."""
-    between, out = travel(machine, q[:, None], q[None]), travel(machine, q, reference)
+    between, out = travel(machine.joints, q[:, None], q[None]), travel(machine.joints, q, reference)
     iterations = iterations or max(LEAST_ITERATIONS, ITERATIONS_PER_VISIT * len(q))
     found = _solve(between, out, sizes, seed, iterations)
     found = _both_ways(found, q, reference)

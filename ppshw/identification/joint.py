@@ -188,7 +188,7 @@ def lines(model: Model) -> Mask:
 
 
 def believable(weights: Array) -> Index:
-    """Visits that an estimate did not set aside."""
+    """Visits that an estimate did not set aside: weights (N,), 0 … 1 → their indices (K,), rising."""
     return np.flatnonzero(weights > 0.5)
 
 

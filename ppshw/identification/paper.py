@@ -40,7 +40,8 @@ LEAST_SCATTER = 1e-6
 
 @dataclass(frozen=True)
 class PaperEstimate(Estimate):
-    """An Estimate, and how the paper's method came to it.
+    """An Estimate, and how the paper's method came to it: tests/unit/test_paper_method.py holds each step against the
+    paper by that, and nobody else reads it.
 
     home            (n,) home configuration
     kept, zeroed    parameters of ε_g(0) and c(0) that were identified, and those that are redundant

@@ -83,6 +83,8 @@ def own_motion(joint: Joint, frame: int, q: Array, waves: int) -> OwnMotion | No
 
 
 def compliance_basis(joint: Joint, q: Array) -> Basis:
+    """A constant, or, where the file says that it varies, a polynomial over q (N,) [m, rad], the joint's positions at
+    the visits; never more freedom than distinct positions."""
     distinct = distinct_positions(q)
     if joint.elastic is None or not joint.elastic.varies or distinct < 2:
         return Constant()

@@ -73,7 +73,8 @@ def rich_model(machine: Machine) -> Model:
 class Ensemble:
     """What machines of a kind are like: θ = mean + factor z, z uncorrelated with unit variance.
 
-    mean (p,), factor (p, k);  unrepresented: rms of what the basis misses of a function, relative to its own rms
+    mean (p,), factor (p, k);  unrepresented: rms of what the basis misses of a function, relative to its own rms, by
+    which the tests hold that the bound is of these machines and not of smoother ones
     """
 
     model: Model

@@ -35,6 +35,7 @@ def tilted(model: Model, measuring_in_base: Array) -> Model:
 
 
 def leaning(machine: Machine, measuring_in_base: Array) -> Machine:
+    """The machine with gravity along −z of measuring_in_base (4, 4), where a levelled instrument stands."""
     return replace(machine, gravity=-GRAVITY * measuring_in_base[:3, 2])
 
 

@@ -95,7 +95,8 @@ def way_since_reversal(q: Array, approach: NDArray[np.int64]) -> Array:
 
 
 def lagged(values: Array, hours: Array, tau: float) -> Array:
-    """First-order lag with time constant tau [h] of a sampled quantity; tau = 0: the quantity itself."""
+    """First-order lag with time constant tau [h] of values (N,) at hours (N,), between two visits at the mean of
+    both; tau = 0: the values themselves. Returns (N,) in their unit."""
     if tau <= 0:
         return values
     out = np.empty(len(values))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Signs = NDArray[np.int64]
-STANDSTILL = 1e-7  # a joint that is commanded less than this away stays as it came [m, rad]
+AS_IT_CAME = 1e-7  # a joint that is commanded less than this away stays as it came [m, rad]
 
 
 @dataclass(frozen=True)
@@ -49,4 +49,4 @@ def approach_of(start: Array, end: Array, before: Signs | None = None) -> Signs:
     """Direction (n,) of a straight move; a joint that stays keeps the one that it had (0 where that is unknown)."""
     moved = end - start
     kept = np.zeros(len(moved), dtype=np.int64) if before is None else before
-    return np.where(np.abs(moved) < STANDSTILL, kept, np.sign(moved)).astype(np.int64)
+    return np.where(np.abs(moved) < AS_IT_CAME, kept, np.sign(moved)).astype(np.int64)

@@ -17,9 +17,9 @@ from campaigns.design.choose import Chooser, inside, situation
 from campaigns.design.designer import Designer, Request, loads_for
 from campaigns.design.information import Pool, Posterior, visible, work_of
 from campaigns.design.loads import extremes, range_of, telling_cases, usual_range, wrench
-from campaigns.design.order import length, shortest_rounds, travel
+from campaigns.design.order import length, shortest_rounds
 from campaigns.design.sequential import known_from
-from campaigns.plan import Plan, plan_campaign, travel_time
+from campaigns.plan import Plan, plan_campaign, travel, travel_time
 from campaigns.script import LoadCase, load_script
 from ppshw.errors import CampaignError
 from ppshw.machine import Machine, load_machine
@@ -27,19 +27,11 @@ from ppshw.recording import load_recording
 from ppshw.terms import Situation
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
+from tests.unit.small_campaign import SLIDE
 
 ROOT = Path(__file__).parents[2]
 # A carriage with a turning arm on it: two joints, so that a design takes a second.
-SMALL = """\
-name: small
-gravity: [0, 0, -9.80665]
-joints:
-  - name: slide
-    type: prismatic
-    axis: [1, 0, 0]
-    limits: {lower: -0.5, upper: 0.5, velocity: 0.1, acceleration: 0.1}
-    link: {mass: 300, com: [0, 0, 0.1]}
-    elastic: {loads: [Fz, Mx, My], varies: false}
+SMALL = f"name: small\n{SLIDE}" + """\
   - name: turn
     type: revolute
     origin: {xyz: [0, 0, 0.5], rpy: [0, 0, 0]}
@@ -213,7 +205,7 @@ def test_rounded_setpoints_never_leave_the_limits(pps: Machine) -> None:
 def test_travel_takes_what_the_slowest_joint_takes(pps: Machine) -> None:
     a, b = np.zeros(6), np.array([0.02, 0.2, 0.4, -1.2, 0.01, 0.0])
     slowest = max(travel_time(joint, abs(x)) for joint, x in zip(pps.joints, b, strict=True))
-    assert float(travel(pps, a, b)) == pytest.approx(slowest)
+    assert float(travel(pps.joints, a, b)) == pytest.approx(slowest)
     # yaw: 1.2 rad at 0.1 rad/s, a second more to start and stop
     assert slowest == pytest.approx(13.0)
 
@@ -223,7 +215,7 @@ def test_orders_and_bounds_of_seven_visits_against_all_orders_there_are(pps: Mac
     low, high = pps.limits()
     q = np.random.default_rng(5).uniform(low, high, (7, 6))
     reference = (low + high) / 2
-    between, out = travel(pps, q[:, None], q[None]), travel(pps, q, reference)
+    between, out = travel(pps.joints, q[:, None], q[None]), travel(pps.joints, q, reference)
     ends = np.cumsum(sizes)
     best = min(
         sum(length(between, out, order[end - size : end]) for size, end in zip(sizes, ends, strict=True))

@@ -13,17 +13,9 @@ from ppshw.calibration import content_digest
 from ppshw.cli import main
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
+from tests.unit.small_campaign import SLIDE
 
-MACHINE = """\
-name: rail
-gravity: [0, 0, -9.80665]
-joints:
-  - name: slide
-    type: prismatic
-    axis: [1, 0, 0]
-    limits: {lower: -0.5, upper: 0.5, velocity: 0.1, acceleration: 0.1}
-    link: {mass: 300, com: [0, 0, 0.1]}
-    elastic: {loads: [Fz, Mx, My], varies: false}
+MACHINE = f"name: rail\n{SLIDE}" + """\
 tip: {targets: {P1: [0.2, 0, 0], P2: [0, 0.2, 0], P3: [0, -0.2, 0]}}
 """
 LOADS = """\

@@ -13,9 +13,9 @@ from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
 from campaigns.script import load_script
 from ppshw.errors import CampaignError
-from ppshw.machine import Machine, load_machine
+from ppshw.machine import Machine
+from tests.unit.small_campaign import RANDOM, planned, positioner
 
-ROOT = Path(__file__).parents[2]
 SWEEPS = """name: sweeps
 seed: 3
 order: as_written
@@ -25,29 +25,11 @@ steps:
   - {step: b, kind: sweep, joint: longitudinal, count: 25, direction: up}
   - {step: c, kind: sweep, joint: yaw, count: 25, direction: both}
 """
-RANDOM = """name: anywhere
-seed: 4
-order: as_written
-reference: {every: 15, q: {}}
-loads:
-  - {name: empty, mass: 0}
-  - {name: box, mass: 150, com: [0, 0.15, 0.6]}
-  - {name: other, mass: 90, com: [0.1, 0.15, -0.4]}
-steps:
-  - {step: one, kind: random, count: 60}
-  - {step: two, kind: random, count: 60}
-"""
 
 
 @pytest.fixture(scope="module")
 def machine() -> Machine:
-    return load_machine(ROOT / "machines/pps.yaml")
-
-
-def planned(text: str, machine: Machine, folder: Path) -> Plan:
-    file = folder / "campaign.yaml"
-    file.write_text(text, encoding="utf-8")
-    return plan_campaign(load_script(file), machine)
+    return positioner()
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from campaigns.foresight import foresee
-from campaigns.plan import plan_campaign
-from campaigns.script import load_script
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.visibility import (
@@ -26,29 +22,12 @@ from ppshw.diagnosis.visibility import (
     thinned,
     visibility,
 )  # fmt: skip
-from ppshw.machine import load_machine
-
-ROOT = Path(__file__).parents[2]
-RANDOM = """name: anywhere
-seed: 4
-order: as_written
-reference: {every: 15, q: {}}
-loads:
-  - {name: empty, mass: 0}
-  - {name: box, mass: 150, com: [0, 0.15, 0.6]}
-  - {name: other, mass: 90, com: [0.1, 0.15, -0.4]}
-steps:
-  - {step: one, kind: random, count: 60}
-  - {step: two, kind: random, count: 60}
-"""
+from tests.unit.small_campaign import RANDOM, planned, positioner
 
 
 @pytest.fixture(scope="module")
 def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
-    machine = load_machine(ROOT / "machines/pps.yaml")
-    file = tmp_path_factory.mktemp("random") / "campaign.yaml"
-    file.write_text(RANDOM, encoding="utf-8")
-    return foresee(plan_campaign(load_script(file), machine), most=6).tried
+    return foresee(planned(RANDOM, positioner(), tmp_path_factory.mktemp("random")), most=6).tried
 
 
 def test_nine_draws_of_ten_of_the_size_said_are_found(tried: Tried) -> None:

@@ -1,4 +1,7 @@
-"""A recording's columns by their names, what is made of them, and smooth functions of any of these: (N,)."""
+"""A recording's columns by their names, what is made of them, and smooth functions of any of these: (N,).
+
+A column is in its own unit (m, rad, N, N·m, °C, s, but time in h); a smooth function of it is a pure number.
+"""
 
 from __future__ import annotations
 
@@ -104,6 +107,7 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1, evenly: bool
 
 
 def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
+    """A smooth function of two columns: bump `a` of the first times bump `b` of the second."""
     return covariate(c, first, a, count) * covariate(c, second, b, count)
 
 

@@ -1,4 +1,9 @@
-"""Functions of a component of the wrench on a frame: (N,)."""
+"""Functions of a component of the wrench on a frame: (N,).
+
+frame 0 … n (0: the base), component 0 … 5: Fx, Fy, Fz [N], Mx, My, Mz [N·m] in the frame's own axes, payload and the
+machine's own bodies together; joint 0 … n−1, its position −1 … 1 over what was sampled. A function is in the
+component's unit where nothing else is said; sides, bumps and polynomials are pure numbers.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,12 @@ Array = NDArray[np.float64]
 
 
 def load(c: Context, frame: int, component: int) -> Array:
+    """The component itself: what a spring gives way by."""
     return np.asarray(c.wrenches[:, frame, component])
 
 
 def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) -> Array:
+    """Times a power of a joint's position: a spring that gets softer along a travel."""
     return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
 
 
@@ -30,6 +37,7 @@ def load_turn(c: Context, frame: int, component: int, joint: int, order: int, ph
 
 
 def load_power(c: Context, frame: int, component: int, exponent: float) -> Array:
+    """sgn(w)|w|^exponent, in units of w at the largest that was seen: a contact (Hertz: 2/3)."""
     w = c.wrenches[:, frame, component]
     return np.asarray(np.sign(w) * np.abs(w) ** exponent / _most(c, frame, component) ** (exponent - 1))
 

@@ -1,4 +1,8 @@
-"""Functions of where a joint stands, which side it came from, and what it did since: (N,)."""
+"""Functions of where a joint stands, which side it came from, and what it did since: (N,), pure numbers.
+
+joint 0 … n−1; a side is −1, 1, or 0 where it is not known; a position is −1 … 1 over what was sampled. `width`, `way`,
+`past` and `period` are in the joint's own unit [m, rad] where nothing else is said.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +26,7 @@ def approach(c: Context, joint: int, pressed: int | None = None) -> Array:
 
 
 def approach_q(c: Context, joint: int, power: int = 1) -> Array:
+    """The side a joint came from times a power of its position: a gap that is wider at one end."""
     return c.recording.approach[:, joint] * c.u(joint) ** power
 
 

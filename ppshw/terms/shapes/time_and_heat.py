@@ -1,4 +1,8 @@
-"""Functions of the time and of temperatures: courses, steps, what follows a thermometer late. (N,) but where said."""
+"""Functions of the time and of temperatures: courses, steps, what follows a thermometer late. (N,) but where said.
+
+Times, time constants and moments in hours, from the start of the recording that a calibration was made from;
+temperatures in kelvin above their mean there; joint 0 … n−1, its position −1 … 1 over what was sampled.
+"""
 
 from __future__ import annotations
 
@@ -64,12 +68,14 @@ def settling(c: Context, visit_time: float, tau: float) -> Array:
 
 
 def temperature(c: Context, place: str, tau: float) -> Array:
+    """A thermometer's temperature, lagged by `tau` (0: as it reads), above its mean."""
     values = c.recording.temperatures[place]
     mean = c.frozen(f"mean.{place}", float(np.mean(values)))
     return c.once(("temperature", place, tau), lambda: lagged(values, c.hours, tau) - mean)
 
 
 def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
+    """The same times a joint's position: a rail that grows along its travel."""
     return temperature(c, place, tau) * c.u(joint)
 
 
