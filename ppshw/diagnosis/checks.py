@@ -2,7 +2,7 @@
 
 Each check is one number of the whitened residual, taken of the recording and of replicas that the model made itself
 (`replicas`), so that what the fit absorbs is in the null. Ranks are exact whatever the number's distribution. A model
-that is right fails one check in twenty at p = 0.05, by chance: fourteen to sixteen are made.
+that is right fails one check in twenty at p = 0.05, by chance: up to sixteen are made.
 docs/diagnosis-method.md §5.
 """
 
@@ -21,7 +21,7 @@ from ppshw.diagnosis.workspace import Workspace
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
-# A check is said to fail below this: with fourteen to sixteen of them, one recording in fourteen or so does by chance.
+# A check is said to fail below this: with up to sixteen of them, one recording in fourteen or so does by chance.
 ODD = 0.005
 MOST_SAID = 3  # checks that a sentence names
 # The kinds of dependence that the map of `locate` looks at, as checks.
