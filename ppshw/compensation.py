@@ -1,8 +1,10 @@
 """Wanted pose and load → corrected joint setpoints   (paper figure 3).
 
 The real machine, as calibrated, is asked where it would go; Newton's method moves the setpoints until it goes where it
-should. What cannot be honoured is refused with a reason: nothing is clipped. Of the effects that a diagnosis found
-those that can be known when a setpoint is computed are taken out (terms/at_hand.py), the others named, with the reason.
+should. Fewer than six joints cannot put a whole pose right: there the position of the point that was asked for goes
+first, and what stays is said. What cannot be honoured is refused with a reason: nothing is clipped. Of the effects that
+a diagnosis found those that can be known when a setpoint is computed are taken out (terms/at_hand.py), the others
+named, with the reason.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
-from ppshw.inverse import EffectErrors, nominal_joints, solve_pose
+from ppshw.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
 from ppshw.kinematics import frames, point_jacobian, point_positions, tip_poses
 from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.quantities import distance
 from ppshw.recording import Around, Recording
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects, Verdict
@@ -46,6 +49,7 @@ class Bounds:
 @dataclass(frozen=True)
 class Setpoints:
     """corrected and nominal (n,) [m, rad]; predicted_error (3,) of the point without correction, base axes [m];
+    left (6,) of it after correction: the point's position, and the rotation vector of its frame [m, rad];
     std (3,) of the point's position after correction [m]: the model's uncertainty, and what effects may do by what is
     not known; approach (n,) the direction that every
     joint comes from by, as far as known; effects: what a diagnosis had found, taken out or not, and why."""
@@ -53,6 +57,7 @@ class Setpoints:
     corrected: Array
     nominal: Array
     predicted_error: Array
+    left: Array
     std: Array
     approach: Signs
     effects: tuple[Verdict, ...] = ()
@@ -77,12 +82,17 @@ class Circumstances:
 
 
 class Compensator:
-    """Corrects setpoints of one calibrated machine."""
+    """Corrects setpoints of one calibrated machine.
+
+    Six joints and more put the whole end-effector frame right. Fewer (`position_first`) bring the named point to its
+    place, or as near as they go, and turn its frame as far as that allows; `Setpoints.left` is what stays.
+    """
 
     def __init__(self, calibration: Calibration, bounds: Bounds | None = None) -> None:
         self.calibration = calibration
         self.machine = calibration.machine
         self.bounds = bounds or Bounds()
+        self.position_first = self.machine.n < 6
         self.known: KnownEffects | None = None
         if calibration.effects:
             self.known = KnownEffects(
@@ -102,7 +112,8 @@ class Compensator:
 
         wanted   (4, 4) of the point (its axes are the end effector's) in the base frame
         payload  (6,) on the sensor, sensor frame, at that pose    [N, N·m]
-        Raises CompensationRefused: out of reach, beyond a limit, outside what was identified, too large a correction.
+        Raises CompensationRefused: out of reach of the ideal machine, beyond a limit, outside what was identified, too
+        large a correction, one that leaves the point farther off than none, or (fewer than six joints) none found.
         """
         offset = transform(np.eye(3), self.machine.point(point))
         wanted_tip = wanted @ inverse(offset)
@@ -112,7 +123,10 @@ class Compensator:
     def for_joints(
         self, wanted: Array, payload: Array, point: str = "tip", given: Circumstances | None = None
     ) -> Setpoints:
-        """Setpoints that bring the real machine where the ideal one would be at joint values `wanted` (n,)."""
+        """Setpoints that bring the real machine where the ideal one would be at joint values `wanted` (n,) [m, rad].
+
+        Payload, point and what is raised as for `for_pose`.
+        """
         wanted = np.asarray(wanted, dtype=float)
         return self._correct(tip_poses(self.machine, wanted)[0], wanted, payload, point, given or Circumstances())
 
@@ -137,15 +151,11 @@ class Compensator:
         now, past = self._moment(nominal, payload, given), given.past or Past()
         if self.known is not None and given.past is None:
             past = self.known.loaded_for(now, given.loaded_for)
-        q, left, now = self._solved(wanted_tip, start, now, past, given)
-        # fewer than six joints cannot reach every real pose; what they leave must be within the same tolerance
-        if np.abs(left).max() > 1e-5:
-            raise CompensationRefused(
-                f"the corrected pose cannot be reached: {np.linalg.norm(left[0, :3]) * 1e3:.3g} mm and "
-                f"{np.linalg.norm(left[0, 3:]) * 1e3:.3g} mrad are left"
-            )
-        self._refuse_correction(q[0], nominal)
         where = self.machine.point(point)[None]
+        q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
+        if not self.position_first and np.abs(left).max() > 1e-5:
+            raise CompensationRefused(f"the corrected pose cannot be reached: {amount(left[0])} are left")
+        self._refuse_correction(q[0], nominal)
         uncorrected, _ = self._point(replace(now, q=nominal), past, where)
         ideal = point_positions(self.machine, start, where)
         design = self.calibration.model.linearise(Situation(q, payload[None]), self.calibration.theta, where).design
@@ -153,7 +163,12 @@ class Compensator:
         variance += self._point(replace(now, q=q[0]), past, where)[1]
         verdicts = () if self.known is None else tuple(self.known.verdicts(now, past))
         error = uncorrected - ideal[0, 0]
-        return Setpoints(q[0], nominal, error, np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts)
+        with_it, without = float(np.linalg.norm(left[0, :3])), float(np.linalg.norm(error))
+        if self.position_first and with_it > without + POSITION_TOLERANCE:
+            raise CompensationRefused(
+                f"the correction would leave '{point}' {distance(with_it)} off, without it is {distance(without)}"
+            )
+        return Setpoints(q[0], nominal, error, -left[0], np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts)
 
     def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
         around = given.around
@@ -161,7 +176,7 @@ class Compensator:
         return Moment(q, _approach(q, given), payload, around.time, load, around.temperatures)
 
     def _solved(
-        self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances
+        self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances, first: Array | None
     ) -> tuple[Array, Array, Moment]:
         """The setpoints (1, n), what they leave (1, 6), and the moment with the approach that they bring about.
 
@@ -171,7 +186,7 @@ class Compensator:
         payload = now.payload[None]
         for _ in range(3):
             q, left = solve_pose(
-                self.machine, wanted_tip[None], start, self.calibration, payload, self._effects(now, past)
+                self.machine, wanted_tip[None], start, self.calibration, payload, self._effects(now, past), first
             )
             approach = _approach(q[0], given)
             if self.known is None or np.array_equal(approach, now.approach):
@@ -244,7 +259,11 @@ def _approach(end: Array, given: Circumstances) -> Signs:
 
 
 class Corrections:
-    """Corrected setpoints of one run, each with the moves before it as its past."""
+    """Corrected setpoints of one run, each with the moves before it as its past.
+
+    left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
+    position_first  as the compensator's
+    """
 
     def __init__(self, compensator: Compensator, after: Recording | None, final_approach: Signs | None) -> None:
         self._compensator, self._final = compensator, final_approach
@@ -253,6 +272,7 @@ class Corrections:
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
+        self.position_first, self.left = compensator.position_first, np.zeros(2)
 
     @property
     def said(self) -> list[tuple[Verdict, int]]:
@@ -267,7 +287,7 @@ class Corrections:
         payload = payload_at(self._compensator.machine, wrench, here, wanted)
         known = self._compensator.known
         if known is None:
-            return self._compensator.for_joints(wanted, payload).corrected
+            return self._corrected(wanted, payload, Circumstances()).corrected
         if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
             self._past = known.past_of(self._visits)
         last = self._past.moments[-1] if self._past.moments else None
@@ -276,13 +296,18 @@ class Corrections:
             last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
             self._past = known.remember(self._past, last)
         given = Circumstances(last.q, self._final, last.approach, around, None, self._past)
-        found = self._compensator.for_joints(wanted, payload, given=given)
+        found = self._corrected(wanted, payload, given)
         now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
         self._past = known.remember(self._past, now)
         for verdict in found.effects:
             key = verdict.effect.name, verdict.effect.joint, verdict.why
             self._said[key] = verdict, self._said.get(key, (verdict, 0))[1] + 1
         return found.corrected
+
+    def _corrected(self, wanted: Array, payload: Array, given: Circumstances) -> Setpoints:
+        found = self._compensator.for_joints(wanted, payload, given=given)
+        self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
+        return found
 
 
 def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
 from ppshw.errors import CalibrationError, CompensationRefused, PpshwError
+from ppshw.inverse import amount
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.terms import Situation
@@ -54,6 +55,8 @@ class FastSetpoints:
 class FastCompensator:
     """Corrects setpoints of one calibrated machine as Compensator does, some thousand times faster.
 
+    For whole poses, so that it takes six joints: fewer raise CalibrationError.
+
     Not for two threads at once: it keeps its working memory. Effects that a diagnosis found are not in it, as they look
     back or ask for temperatures: `left_out` says which those are, and Compensator takes them out.
     """
@@ -65,6 +68,9 @@ class FastCompensator:
             raise PpshwError(f"fast setpoints need numba ({exc}): pip install 'ppshw[fast]'") from None
         self.calibration = calibration
         self.machine = calibration.machine
+        if self.machine.n < 6:
+            joints = f"'{self.machine.name}' has {self.machine.n} joints"
+            raise CalibrationError(f"{joints}, compiled setpoints need six or more: use Compensator")
         self.left_out = tuple(effect.sentence for effect in calibration.effects)
         self._slow = Compensator(replace(calibration, effects=()), bounds)
         self._kernel = fast_kernel
@@ -129,10 +135,7 @@ def _refusal(slow: Compensator, wanted: Array, payload: Array, solved: Array, le
             slow._refuse_correction(solved, wanted)
     except CompensationRefused as refusal:
         return refusal
-    return CompensationRefused(
-        f"the corrected pose cannot be reached: {np.linalg.norm(left[:3]) * 1e3:.3g} mm and "
-        f"{np.linalg.norm(left[3:]) * 1e3:.3g} mrad are left"
-    )
+    return CompensationRefused(f"the corrected pose cannot be reached: {amount(left)} are left")
 
 
 def _chain(machine: Machine) -> Chain:

@@ -11,13 +11,18 @@ from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
 from ppshw.kinematics import frames, joint_jacobian, tip_poses
 from ppshw.machine import Machine
-from ppshw.quantities import distance, rounded
+from ppshw.quantities import angle, distance, rounded
 from ppshw.terms import Situation
 from ppshw.transforms import rotation_vector
 
 Array = NDArray[np.float64]
 # Reached when no residual is larger: micrometres and microradians are far below any repeatability.
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-7
+# Where a position goes before the orientation a radian counts as a tenth of a millimetre: ten milliradians that cannot
+# be put right then cost the position a nanometre on a lever of 0.1 m.
+POSITION_FIRST = 1e-4  # m/rad
+# A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
+AT_NEAREST = 1e-7
 # (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
 EffectErrors = Callable[[Array, Array, Array], Array]
 
@@ -29,16 +34,23 @@ def solve_pose(
     calibration: Calibration | None = None,
     payload: Array | None = None,
     effects: EffectErrors | None = None,
+    point: Array | None = None,
 ) -> tuple[Array, Array]:
     """Joint values at which the end-effector frame stands at `wanted_tip`, by Newton's method, vectorised.
 
     wanted_tip  (N, 4, 4) in the base;  start (N, n);  payload (N, 6) on the sensor (with a calibration)
     calibration None: the ideal machine
     effects     errors beyond the calibration's base model, for one pose (N = 1)
-    returns     (N, n) joint values, (N, 6) what is left [m, rad]; not converged where that is large
+    point       (3,) in the end-effector frame [m]: its position goes first, and the orientation is as near as that
+                allows, for machines that cannot have both; None: position and orientation alike, which can be had
+    returns     (N, n) joint values, (N, 6) what is left: of the position, of the point if there is one, and the
+                rotation vector, base axes [m, rad]; without a point not converged where that is large
+    Raises CompensationRefused where a point is given and Newton's method comes to no rest (near singular poses).
     """
     q = np.array(start, dtype=float)
-    point = np.zeros((1, 3))
+    offset = np.zeros(3) if point is None else point
+    share = np.repeat([1.0, 1.0 if point is None else POSITION_FIRST], 3)
+    wanted = wanted_tip[:, :3, 3] + wanted_tip[:, :3, :3] @ offset
     left = np.zeros((len(q), 6))
     for _ in range(30):
         if calibration is None:
@@ -50,22 +62,33 @@ def solve_pose(
                 errors = errors + effects(q, errors, wrenches)
             chain = frames(machine, q, errors)
             tip = chain[:, -1] @ machine.tip_in_link
-        left[:, :3] = wanted_tip[:, :3, 3] - tip[:, :3, 3]
+        reached = tip[:, :3, 3] + tip[:, :3, :3] @ offset
+        left[:, :3] = wanted - reached
         left[:, 3:] = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
         if np.abs(left[:, :3]).max() < POSITION_TOLERANCE and np.abs(left[:, 3:]).max() < ROTATION_TOLERANCE:
             break
         jacobian = np.empty((len(q), 6, machine.n))
-        jacobian[:, :3] = joint_jacobian(machine, chain, tip[:, None, :3, 3] + point)[:, 0]
+        jacobian[:, :3] = joint_jacobian(machine, chain, reached[:, None])[:, 0]
         for k, joint in enumerate(machine.joints):
             axis = chain[:, k + 1, :3, :3] @ joint.axis
             jacobian[:, 3:, k] = 0.0 if joint.prismatic else axis
+        jacobian *= share[:, None]
+        aim = left * share
         # A little damping keeps the step finite near singular poses and vanishes as the residual does.
         square = np.swapaxes(jacobian, 1, 2) @ jacobian
-        damping = 1e-12 + 1e-4 * np.minimum(1.0, (left**2).sum(axis=1))
+        damping = 1e-12 + 1e-4 * np.minimum(1.0, (aim**2).sum(axis=1))
         square[:, np.arange(machine.n), np.arange(machine.n)] += damping[:, None]
-        step = np.linalg.solve(square, np.einsum("nij,ni->nj", jacobian, left)[..., None])[..., 0]
+        step = np.linalg.solve(square, np.einsum("nij,ni->nj", jacobian, aim)[..., None])[..., 0]
         largest = np.abs(step).max(axis=1, keepdims=True)
+        if point is not None and largest.max() < AT_NEAREST:
+            break
         q = q + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-12))
+    else:
+        if point is not None:
+            raise CompensationRefused(
+                f"the nearest joint values were not found: '{machine.name}' stands nearly stretched there, or in "
+                "another singular pose"
+            )
     return q, left
 
 
@@ -86,7 +109,7 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
             q[:, k] = middle + (q[:, k] - middle + np.pi) % (2 * np.pi) - np.pi
     reached = (np.abs(left) < 1e-6).all(axis=1)
     if not reached.any():
-        nearest = distance(np.linalg.norm(left[:, :3], axis=1).min())
+        nearest = amount(left[np.argmin(np.linalg.norm(left, axis=1))])
         raise CompensationRefused(
             f"the pose cannot be reached by '{machine.name}': the nearest joint values miss it by {nearest}"
         )
@@ -99,6 +122,11 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
         )
     candidates = q[inside]
     return np.asarray(candidates[np.argmin(np.linalg.norm(candidates - centre, axis=1))])
+
+
+def amount(left: Array) -> str:
+    """What is left of a pose, for the eye: (6,) [m, rad] → '1.2 mm and 0.3 mrad'."""
+    return f"{distance(float(np.linalg.norm(left[:3])))} and {angle(float(np.linalg.norm(left[3:])))}"
 
 
 def _worst_limit(machine: Machine, q: Array) -> tuple[int, float]:

@@ -6,16 +6,25 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 
 def distance(metres: float) -> str:
-    """How far something is off, to three digits and without an exponent: in mm below a metre, else in m."""
-    return f"{rounded(metres)} m" if abs(metres) >= 1.0 else f"{rounded(metres * 1e3)} mm"
+    """How far something is off, to three digits and without an exponent: in mm below a metre, else in m.
+
+    What is less than half a nanometre is 0 mm: no arithmetic here is better, let alone a machine.
+    """
+    return f"{rounded(metres)} m" if abs(metres) >= 1.0 else f"{rounded(round(metres * 1e3, 6))} mm"
+
+
+def angle(radians: float) -> str:
+    """How far something is turned, as `distance` says how far it is off: in mrad below a radian, else in rad."""
+    return f"{rounded(radians)} rad" if abs(radians) >= 1.0 else f"{rounded(round(radians * 1e3, 6))} mrad"
 
 
 def rounded(value: float) -> str:
-    """Three digits, the rest of a large number filled with zeros: 2.62e+03 is 2620."""
-    three = float(f"{value:.3g}")
-    return f"{three:.0f}" if abs(three) >= 1e3 else f"{three:g}"
+    """Three digits without an exponent, the rest filled with zeros: 2.62e+03 is 2620, 5e-05 is 0.00005."""
+    return np.format_float_positional(float(f"{value:.3g}"), trim="-")
 
 
 def value_of(p: Mapping[str, Any]) -> str:

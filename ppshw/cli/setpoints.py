@@ -78,6 +78,11 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
+    if compensator.position_first:
+        off, turned = setpoints.left[:3] * 1e3, setpoints.left[3:] * 1e3
+        answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}
+        stay = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
+        lines.append(f"{a.point}: {stay}, which {machine.n} joint{'s' * (machine.n > 1)} cannot put right")
     if not payload.any():
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]

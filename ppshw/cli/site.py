@@ -42,6 +42,10 @@ def run(a: argparse.Namespace) -> None:
     if correct is not None:
         answer |= {"compensated": correct.as_dicts(True), "not_compensated": correct.as_dicts(False)}
         lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in correct.said]
+        if correct.position_first and result.measured:
+            off, turned = (correct.left * 1e3).tolist()
+            answer |= {"most_left_mm": off, "most_left_mrad": turned}
+            lines.append(f"tip: at most {off:.3f} mm and {turned:.3f} mrad stay, which the joints cannot put right")
     say(a, answer, folded(lines))
 
 

@@ -282,6 +282,23 @@ def test_compensate_prints_a_table_for_people(compensate: list[str | Path]) -> N
     assert max(map(len, lines)) <= 80
 
 
+def test_what_two_joints_cannot_put_right_is_said(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text(MACHINE, encoding="utf-8")
+    simulate_recording_csv(Plant.from_file(tmp_path / "cell.yaml", seed=5), tmp_path / "r.csv", 80)
+    answer("identify", tmp_path / "r.csv", "--machine", tmp_path / "cell.yaml", "--out", tmp_path / "cal.json")
+    loads = json.loads((tmp_path / "cal.json").read_text(encoding="utf-8"))["valid"]["payload"].values()
+    words = ["compensate", "--machine", tmp_path / "cell.yaml", "--calibration", tmp_path / "cal.json",
+             "--wrench", *(str((low + high) / 2) for low, high in loads),
+             "--joints", "0.1 0.4", "--point", "treatment"]  # fmt: skip
+    found = answer(*words)
+    left = [float(np.linalg.norm(found[key])) for key in ("left_mm", "left_mrad")]
+    assert 0.05 < left[0] < np.linalg.norm(found["predicted_error_mm"])
+    stays = f"treatment: {left[0]:.3f} mm and {left[1]:.3f} mrad stay, which 2 joints cannot put right"
+    assert stays in ppshw(*words).out
+    line = refused(tmp_path, *words[:5], "--pose", "0 0 0.6 0.3 0 0")
+    assert re.search(r"the nearest joint values miss it by \S+ mm and 300 mrad$", line.strip())
+
+
 def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | Path]) -> None:
     assert "joint 'yaw' at 2 rad is outside" in refused(tmp_path, *compensate, "--joints", "0 0 0.5 2 0 0")
     assert re.search(r"the pose needs joint '\w+' \S+ (m|rad) beyond its limits",

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from ppshw.terms.shapes import Column
 from simulators.faults import Fault, FaultSchedule
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
-from tests.contract.desk import one_line, ppshw
+from tests.contract.desk import MACHINE, one_line, ppshw
 from tests.end_to_end.rig import ROOT, Rig
 
 PROGRAM = str(Path(sys.executable).with_name("ppshw"))
@@ -45,11 +46,17 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("hall")
     for count in (4, 60):
         (folder / f"{count}.yaml").write_text(SCRIPT.replace("COUNT", str(count)), encoding="utf-8")
-    words = ["simulate", "--machine", "pps", "--site-out", "site.yaml", "--speed", "40", "--json"]
+    with simulated(folder, "pps"):
+        yield folder
+
+
+@contextmanager
+def simulated(folder: Path, machine: str) -> Iterator[None]:
+    words = ["simulate", "--machine", machine, "--site-out", "site.yaml", "--speed", "40", "--json"]
     process = subprocess.Popen([PROGRAM, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert json.loads(process.stdout.readline()) == {"site": str(folder / "site.yaml")}
-    yield folder
+    yield
     process.terminate()
     _, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (0, "")
@@ -142,6 +149,26 @@ def test_a_run_says_at_how_many_visits_which_effect_was_taken_out_and_why_not(ha
     (left,) = found["not_compensated"]
     assert (left["effect"], left["visits"]) == ("drift", 5)
     assert "cannot be known" in left["why"]
+
+
+def test_a_run_of_a_machine_with_two_joints_says_what_they_cannot_put_right(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text(MACHINE, encoding="utf-8")
+    machine = load_machine(tmp_path / "cell.yaml")
+    csv = simulate_recording_csv(Plant.from_file(machine.file, seed=1), tmp_path / "r.csv", 90)
+    recording = load_recording(csv, machine)
+    Calibration.of(identify(machine, recording), recording, "joint").save(tmp_path / "cal.json")
+    weight, moment = recording.wrench[:, [2, 4]].mean(axis=0).tolist()
+    mass, com = -weight / 9.80665, [-moment / weight, 0.0, 0.1]
+    (tmp_path / "two.yaml").write_text(
+        f"name: two\nloads: [{{name: box, mass: {mass}, com: {com}}}]\n"
+        "steps: [{step: any, kind: random, count: 2, margin: 0.3}]\n", encoding="utf-8")  # fmt: skip
+    with simulated(tmp_path, "cell.yaml"):
+        words = ["run", "two.yaml", "--site", "site.yaml", "--out", "two.db", "--calibration", "cal.json", "--json"]
+        found = run(tmp_path, *words)
+        assert found["measured"] == 2
+        assert 0.01 < found["most_left_mm"] < 3
+        assert 0.01 < found["most_left_mrad"] < 5
+        assert "most_left_mm" not in run(tmp_path, *words)  # nothing is left to do, so that nothing was corrected
 
 
 def calibrate(folder: Path, name: str, effects: tuple[Effect, ...] = ()) -> Path:

@@ -23,7 +23,7 @@ from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine, load_machine
-from ppshw.quantities import distance, rounded, value_of
+from ppshw.quantities import angle, distance, rounded, value_of
 from ppshw.recording import Recording, columns_for, load_recording
 from ppshw.recording_file import RecordingFile
 from ppshw.report import build_report
@@ -537,6 +537,9 @@ def test_a_parameter_is_shown_in_the_field_s_units_to_what_is_known(
     assert value_of({"value": value, "std": std, "unit": unit}) == shown
 
 
-def test_large_numbers_are_printed_without_an_exponent() -> None:
+def test_large_and_small_numbers_are_printed_without_an_exponent() -> None:
     assert [rounded(x) for x in (2617.3, 2.29e6, 999.6, 12.34, 0.1)] == ["2620", "2290000", "1000", "12.3", "0.1"]
+    assert [rounded(x) for x in (5e-5, 0.0)] == ["0.00005", "0"]
     assert [distance(x) for x in (2617.3, 0.9996, 0.0123)] == ["2620 m", "1000 mm", "12.3 mm"]
+    assert [distance(x) for x in (5e-8, 2.2e-16, 0.0)] == ["0.00005 mm", "0 mm", "0 mm"]
+    assert [angle(x) for x in (1.2, 0.2, 7.15e-4, 2e-16)] == ["1.2 rad", "200 mrad", "0.715 mrad", "0 mrad"]
