@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 
@@ -19,6 +22,8 @@ Array = NDArray[np.float64]
 # Joint values (n,) and a target's name → where the tracker should look (3,) [m, tracker frame].
 Aim = Callable[[Array, str], Array]
 
+# Windows has no SIGHUP.
+INTERRUPTIONS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 STANDARD_AIR = Atmosphere(temperature_c=20.0, pressure_hpa=1013.25, humidity_pct=50.0)
 
 
@@ -48,8 +53,11 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.stop()
-        problems = self._close()
+        with uninterrupted():  # a second Ctrl-C must not leave motors on behind it
+            try:
+                self.stop()
+            finally:
+                problems = self._close()
         if kind is None and problems:
             raise problems[0]
         for problem in problems:  # the first error is the cause; these stay with it for whoever debugs
@@ -111,8 +119,9 @@ class Bench:
     def stop(self) -> None:
         """Quick stop, once; a bus that was only looked at is left alone."""
         if self._started:
+            with uninterrupted():
+                self.axes.quick_stop()
             self._started = False
-            self.axes.quick_stop()
 
     def _close(self) -> list[Exception]:
         """Close every device even when closing another one fails."""
@@ -123,9 +132,23 @@ class Bench:
         for close in devices:
             try:
                 close()
-            except (HardwareError, OSError) as problem:
+            except Exception as problem:
                 problems.append(problem)
         return problems
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Nobody's Ctrl-C and no request to end or hang up is heard meanwhile (in the main thread, which hears them)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {s: signal.signal(s, signal.SIG_IGN) for s in INTERRUPTIONS}
+    try:
+        yield
+    finally:
+        for s, handler in before.items():
+            signal.signal(s, handler)
 
 
 def nominal_aim(machine: Machine, tracker_in_base: Array) -> Aim:

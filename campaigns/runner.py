@@ -171,6 +171,7 @@ class _Run:
         finished = file.done() | _skipped(file)
         todo = [visit for visit in self._plan.visits if visit.index not in finished]
         last: Visit | None = None
+        again: Visit | None = None
         seconds_left = self._plan.seconds_left(finished)
         try:
             while todo:
@@ -180,13 +181,13 @@ class _Run:
                     command = self._wait_for_temperature(file, visit, last)
                 if command is Command.REDO:
                     assert last is not None
-                    file.drop_visit(last.index)
-                    todo.insert(0, last)
-                    last, seconds_left = None, seconds_left + self._plan.durations[todo[0].index]
+                    todo.insert(0, last)  # what was measured stays until it has been measured again
+                    again, last = last, None
+                    seconds_left += self._plan.durations[todo[0].index]
                     continue
                 if command is not Command.SKIP:
                     self._change_load(file, visit)
-                    self._visit(file, visit)
+                    self._visit(file, visit, again)
                     last = visit
                     self._measured += 1
                 todo.pop(0)
@@ -195,14 +196,17 @@ class _Run:
                     done = len(self._plan.visits) - len(todo)
                     self._progress(Progress(done, len(self._plan.visits), max(0.0, seconds_left), visit))
             self._baseline(file, "after the last visit")
-        except (PpshwError, KeyboardInterrupt) as error:
+        except BaseException as error:
             self._bench.stop()
-            self._log_trouble(file, error, todo[0] if todo else None)
+            try:
+                self._log_trouble(file, error, todo[0] if todo else None)
+            except PpshwError as second:  # the first is the cause
+                error.add_note(f"while it was logged: {second}")
             raise
         self._log(file, "end", f"{len(file.done())} of {len(self._plan.visits)} visits measured")
         return self._result(file)
 
-    def _visit(self, file: RecordingFile, visit: Visit) -> None:
+    def _visit(self, file: RecordingFile, visit: Visit, again: Visit | None) -> None:
         bench = self._bench
         wanted = np.array(visit.setpoints)
         if visit.via is not None:  # before the correction, which may depend on where the machine comes from
@@ -230,7 +234,7 @@ class _Run:
         raw = [(s.target, _raw(s)) for s in shots]
         if reading is not None:
             raw.append(("wrench", _raw_wrench(reading)))
-        file.append(cells, plan_index=visit.index, shots=raw)
+        file.append(cells, plan_index=visit.index, shots=raw, again=visit is again)
 
     def _corrected(self, visit: Visit, wanted: Array) -> Array:
         if self._map is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 
@@ -22,6 +23,7 @@ from ppshw.errors import BadInput, BusLost, DriveFault, HardwareError, HardwareT
 log = logging.getLogger(__name__)
 
 HANDSHAKE_TIMEOUT, HANDSHAKE_SYNCS = 0.5, 20  # s of machine time and SYNCs; a drive needs two SYNCs
+RAMP_S, LOOK_S = 5.0, 0.1  # of machine time: what a quick stop may take at most, and between two looks at it
 MARGIN_FACTOR, MARGIN_S = 1.5, 5.0  # a move may take this much longer than its trapezoid before it is given up
 
 
@@ -106,7 +108,7 @@ class Cia402Group:
 
     def _home(self, axis: Cia402Axis) -> None:
         try:
-            home(axis, self._bus, lambda: self._exchange(expect_enabled=False))
+            home(axis, self._bus, lambda: self._exchange(but=axis))
         except Stopped:
             self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
             raise
@@ -126,13 +128,14 @@ class Cia402Group:
     def close(self) -> None:
         """Disable every drive (brakes close), end its watch over our heartbeat, leave the bus."""
         if self._bus.is_open:
+            if self._started:
+                self._wait_for_standstill()
             for axis in self._axes.values():
-                try:
-                    if self._started:
-                        axis.disable()
-                    axis.end_watch()
-                except HardwareError as error:
-                    log.warning("closing: %s", error)
+                for step in [axis.disable, axis.end_watch] if self._started else [axis.end_watch]:
+                    try:
+                        step()
+                    except HardwareError as error:
+                        log.warning("closing: %s", error)
         self._started = False
         self._axes = {}
         self._bus.close()
@@ -161,6 +164,24 @@ class Cia402Group:
         finally:
             for axis in self._axes.values():
                 axis.target = None
+
+    def _wait_for_standstill(self) -> None:
+        """Until the ramps of a quick stop have ended: a motor without power coasts, or drops its brake at speed. For a
+        bounded time, and not for an axis that says nothing."""
+        deadline = self._clock.now() + RAMP_S
+        before: dict[str, float] = {}
+        try:
+            while self._clock.now() < deadline:
+                silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
+                heard = [axis for axis in self._axes.values() if axis.node_id not in silent]
+                here = {axis.name: self._position(axis) for axis in heard}
+                if all(abs(q - before.get(name, math.inf)) <= self._configs[name].window for name, q in here.items()):
+                    return
+                before = here
+                self._clock.sleep(LOOK_S)
+            log.warning("closing: axes still moved %g s after the quick stop", RAMP_S)
+        except Exception as error:  # best effort, as the stop itself
+            log.warning("closing: %s", error)
 
     def _power_off_the_disobedient(self) -> None:
         """A node without process data may still answer SDO, for instance when it fell back to PRE-OPERATIONAL."""
@@ -202,10 +223,12 @@ class Cia402Group:
             return
         try:
             self._raise_trouble()
-            silences = {axis.name: silence for axis in self._axes.values() if (silence := axis.silence())}
-            self._raise_silence(silences)
-        except BaseException:
+            self._raise_silence({axis.name: s for axis in self._axes.values() if (s := axis.silence())})
+            self._exchange()
+        except BaseException as error:
             self.quick_stop()
+            if isinstance(error, Stopped):
+                self._raise_trouble()  # the reason, where an emergency stopped all before the look
             raise
 
     def _raise_trouble(self) -> None:
@@ -221,8 +244,8 @@ class Cia402Group:
             raise BusLost(self._bus.config.name, f"silent: nothing from {', '.join(silences)}")
         raise next(iter(silences.values()))
 
-    def _exchange(self, expect_enabled: bool = True) -> None:
-        """Fresh process data from every axis, or the reason why not."""
+    def _exchange(self, expect_enabled: bool = True, but: Cia402Axis | None = None) -> None:
+        """Fresh process data from every axis, or the reason why not; all are to be enabled, `but` one that homes."""
         axes = self._axes.values()
         silent = self._bus.exchange([axis.node_id for axis in axes])
         self._raise_trouble()
@@ -237,7 +260,7 @@ class Cia402Group:
             raise Stopped("the axes were quick-stopped; start them again")
         for axis in axes:
             state = _snapshot(axis).state
-            if state is not State.OPERATION_ENABLED:
+            if axis is not but and state is not State.OPERATION_ENABLED:
                 raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
 
     def _still_silent(self, silent: set[int]) -> set[int]:
@@ -257,7 +280,6 @@ class Cia402Group:
         try:
             if not self._started:
                 raise HardwareError("axes", "not started")
-            self.raise_if_faulty()
             self._exchange()
             for leg in legs():
                 ended_at = self._run_leg(leg)

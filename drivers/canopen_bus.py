@@ -105,7 +105,7 @@ class CanBus:
             return
         try:
             network.disconnect()
-        except (can.CanError, OSError) as error:
+        except Exception as error:  # also whatever has ended the receiving thread
             log.warning("%s: closed after it was lost: %s", self.config.name, error)
 
     def check(self) -> None:

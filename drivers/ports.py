@@ -119,7 +119,8 @@ class AxisGroup(Protocol):
         """Acknowledge the faults of all drives; enables none."""
 
     def raise_if_faulty(self) -> None:
-        """Raise the HardwareError that supervision has found since the last call, if any."""
+        """Look at every started axis: raise the HardwareError of one that is silent, faulty or no longer enabled, after
+        all were stopped."""
 
     def quick_stop(self) -> None:
         """Stop every axis now; never raises."""

@@ -149,15 +149,24 @@ class RecordingFile:
         cells: Mapping[str, str],
         plan_index: int | None = None,
         shots: Iterable[tuple[str, Mapping[str, Any]]] = (),
+        again: bool = False,
     ) -> int:
-        """Commit one visit with its raw shots; returns its number. Columns not given stay empty."""
+        """Commit one visit with its raw shots; returns its number. Columns not given stay empty.
+
+        again  in place of the visit of that plan index that is there (the operator's redo)
+        Raises RecordingError where it cannot be written, as a second visit of a plan index.
+        """
         header = self.columns()
         unknown = set(cells) - set(header)
         if unknown:
             raise RecordingError(f"{self.path}: the recording has no column {', '.join(sorted(unknown))}")
         names = ", ".join(_sql_names(header))
         marks = ", ".join("?" * (len(header) + 1))
-        with _transaction(self._db):
+        with self._writing():
+            if again:
+                mine = "SELECT visit FROM visits WHERE plan_index = ?"
+                self._db.execute(f"DELETE FROM shots WHERE visit IN ({mine})", [plan_index])
+                self._db.execute("DELETE FROM visits WHERE plan_index = ?", [plan_index])
             cursor = self._db.execute(
                 f"INSERT INTO visits (plan_index, {names}) VALUES ({marks})",
                 [plan_index, *(cells.get(c, "") for c in header)],
@@ -172,16 +181,16 @@ class RecordingFile:
         """Commit many rows at once, in the header's order (an import)."""
         marks = ", ".join("?" * len(self.columns()))
         names = ", ".join(_sql_names(self.columns()))
-        with _transaction(self._db):
+        with self._writing():
             self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
 
-    def drop_visit(self, plan_index: int) -> None:
-        """Forget one visit, so that it is measured again (the operator's redo); the event log keeps that it was."""
-        with _transaction(self._db):
-            self._db.execute(
-                "DELETE FROM shots WHERE visit IN (SELECT visit FROM visits WHERE plan_index = ?)", [plan_index]
-            )
-            self._db.execute("DELETE FROM visits WHERE plan_index = ?", [plan_index])
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            with _transaction(self._db):
+                yield
+        except sqlite3.Error as exc:
+            raise RecordingError(f"{self.path}: cannot be written ({exc}); what was in it before is there") from None
 
     def done(self) -> set[int]:
         """Plan indices that are measured."""
@@ -189,7 +198,8 @@ class RecordingFile:
 
     def log(self, time: str, kind: str, text: str, data: Mapping[str, Any] | None = None) -> None:
         """Add an event: a prompt and its answer, a baseline reading, a fault, a start or a stop."""
-        self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?)", [time, kind, text, json.dumps(data or {})])
+        with self._writing():
+            self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?)", [time, kind, text, json.dumps(data or {})])
 
     def events(self) -> list[tuple[str, str, str, dict[str, Any]]]:
         """The event log in its order: (time in ISO 8601 UTC, kind, text, data)."""
@@ -215,7 +225,8 @@ def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str]) -> None
 
 
 class _transaction:
-    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK when anything goes wrong inside."""
+    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK when anything goes wrong inside or with COMMIT itself. SQLite takes back by
+    itself what a full disk has cut short, and has nothing to roll back then."""
 
     def __init__(self, db: sqlite3.Connection) -> None:
         self._db = db
@@ -224,7 +235,12 @@ class _transaction:
         self._db.execute("BEGIN IMMEDIATE")
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        self._db.execute("COMMIT" if kind is None else "ROLLBACK")
+        try:
+            if kind is None:
+                self._db.execute("COMMIT")
+        finally:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
 
 
 def _sql_names(columns: Sequence[str]) -> list[str]:

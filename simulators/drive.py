@@ -112,6 +112,11 @@ class SimulatedDrive(CanopenNode):
         with self.lock:
             self._enter_fault(code)
 
+    def lose_torque(self) -> None:
+        """Safe torque off: no longer enabled, and not a word about it."""
+        with self.lock:
+            self._switch(Power.SWITCH_ON_DISABLED)
+
     def stick(self) -> None:
         """The motor no longer moves, whatever the drive does."""
         with self.lock:

@@ -210,6 +210,32 @@ def test_a_drive_that_trips_at_rest_is_found_and_stops_the_others(machine: Machi
     assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
 
 
+def test_a_drive_that_loses_its_power_without_a_word_is_found_by_a_look(machine: Machine) -> None:
+    """As by a safe torque off: no emergency, no silence."""
+    machine.drive("lift").lose_torque()
+    with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED, not OPERATION ENABLED"):
+        machine.group.raise_if_faulty()
+    machine.clock.sleep(0.1)
+    assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
+def test_motors_keep_their_power_until_the_quick_stop_has_brought_them_to_rest(machine: Machine) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    slide = machine.drive("slide")
+    machine.after(2.0, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        machine.group.move({"slide": 1.0})
+    assert slide.power is Power.QUICK_STOP_ACTIVE
+    here = slide.motor_position()
+    machine.group.close()
+    rest = slide.motor_position()
+    assert rest > here + 100  # it went on along its ramp
+    machine.clock.sleep(1.0)
+    assert slide.motor_position() == pytest.approx(rest, abs=5)  # and stood when its power went
+
+
 def test_a_trip_stops_the_others_at_once_not_only_when_the_program_looks(machine: Machine) -> None:
     machine.drive("lift").trip(0x3220)
     deadline = time.monotonic() + 5.0  # the messages cross the bus in real time
@@ -613,6 +639,13 @@ def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callabl
     assert m.group.positions()["slide"] == pytest.approx(-0.5)
     m.group.move({"slide": 0.0})
     assert round(m.drive("slide").motor_position()) == 70_000  # home + 0.5 m
+
+
+def test_while_one_axis_homes_the_others_are_to_stay_enabled(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, LIFT, absolute=False, start=70_000, home_at=20_000)
+    m.after(1.0, m.drive("lift").lose_torque)
+    with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED"):
+        m.group.start()
 
 
 def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -98,13 +97,22 @@ def test_a_visit_is_committed_with_its_shots_or_not_at_all(tmp_path: Path) -> No
         assert file.append({"load": "box", "q": "0.5"}, 7, [("P1", {"ppm": 2.5}), ("P2", {})]) == 1
         with pytest.raises(RecordingError, match="has no column z"):
             file.append({"z": "1"}, 8)
-        with pytest.raises(sqlite3.IntegrityError):  # one place in the plan is measured once
+        with pytest.raises(RecordingError, match=r"r\.db: cannot be written .*UNIQUE"):  # a place is measured once
             file.append({"q": "0.6"}, 7, [("P1", {})])
         assert file.table() == (("load", "q"), (("box", "0.5"),))
         assert file.shots(1) == [("P1", {"ppm": 2.5}), ("P2", {})]
         assert file.done() == {7}
-        file.drop_visit(7)
-        assert (file.done(), file.shots(1), file.table()[1]) == (set(), [], ())
+        again = file.append({"q": "0.7"}, 7, [("P3", {})], again=True)  # unless it is asked to be
+        assert (file.done(), file.shots(again), file.table()[1]) == ({7}, [("P3", {})], (("", "0.7"),))
+
+
+def test_a_full_disk_is_named_and_costs_nothing_that_was_there(tmp_path: Path) -> None:
+    with RecordingFile.create(tmp_path / "r.db", ["q"], {}) as file:
+        file.append({"q": "1"}, 0)
+        file._db.execute(f"PRAGMA max_page_count = {file._db.execute('PRAGMA page_count').fetchone()[0]}")
+        with pytest.raises(RecordingError, match=r"r\.db: cannot be written \(database or disk is full\)"):
+            file.append({"q": "x" * 50_000}, 0, again=True)
+        assert file.table()[1] == (("1",),)
 
 
 def test_a_file_is_never_made_over_another(tmp_path: Path) -> None:

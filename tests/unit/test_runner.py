@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import select
+import signal
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -58,6 +60,8 @@ class FakeAxes:
         self.started = False
         self.closed = False
         self.trouble: tuple[int, BaseException] | None = None
+        self.fell_over: tuple[int, HardwareError] | None = None  # while the tracker measured, after so many moves
+        self.stop_error: BaseException | None = None
 
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
@@ -83,10 +87,13 @@ class FakeAxes:
         return {n: x + 1e-6 for n, x in self.at.items()}
 
     def raise_if_faulty(self) -> None:
-        pass
+        if self.fell_over is not None and len(self.moves) == self.fell_over[0]:
+            raise self.fell_over[1]
 
     def quick_stop(self) -> None:
         self.stops += 1
+        if self.stop_error is not None:
+            raise self.stop_error
 
     def close(self) -> None:
         self.closed = True
@@ -100,6 +107,7 @@ class FakeTracker:
     def __init__(self, clock: SteppedClock) -> None:
         self.clock = clock
         self.lost: set[str] = set()
+        self.shots, self.lost_from = 0, math.inf
         self.closed = False
         self.close_error: HardwareError | None = None
 
@@ -113,7 +121,8 @@ class FakeTracker:
         self.atmosphere = atmosphere
 
     def measure(self, target: str, expected: Array) -> Shot:
-        if target in self.lost:
+        self.shots += 1
+        if target in self.lost or self.shots >= self.lost_from:
             raise BeamLost("tracker", f"no target found at {target}")
         self.clock.sleep(2.0)
         return Shot(target, expected, {"distance": float(np.linalg.norm(expected))}, 0.5, self.atmosphere)
@@ -273,6 +282,43 @@ def test_a_run_that_failed_goes_on_where_it_stopped(situation: Situation) -> Non
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
     assert len(situation.axes.moves) == 6
     assert situation.put_on == ["empty", "box", "box"]  # after a resume nobody knows what is on the couch
+
+
+def test_an_axis_that_falls_over_while_a_visit_is_measured_spoils_that_visit(situation: Situation) -> None:
+    situation.axes.fell_over = (3, DriveFault("yaw", "is SWITCH ON DISABLED, not OPERATION ENABLED"))
+    with pytest.raises(DriveFault, match="yaw: is SWITCH ON DISABLED"):
+        situation.run()
+    assert situation.indices() == [0, 1]
+    assert situation.events("fault") == ["yaw: is SWITCH ON DISABLED, not OPERATION ENABLED"]
+
+
+def test_a_second_interrupt_leaves_no_device_open(situation: Situation) -> None:
+    situation.axes.trouble = (3, DriveFault("yaw", "tripped"))
+    situation.axes.stop_error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        situation.run()
+    assert situation.axes.closed
+    assert situation.tracker.closed
+    assert situation.sensor.closed
+
+
+@pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM])
+def test_while_it_stops_and_closes_nobody_interrupts(situation: Situation, request_to_end: signal.Signals) -> None:
+    situation.axes.trouble = (3, DriveFault("yaw", "tripped"))
+    closing = situation.tracker.close
+    situation.tracker.close = lambda: (os.kill(os.getpid(), request_to_end), closing())  # type: ignore[method-assign]
+    before = signal.getsignal(request_to_end)
+    with pytest.raises(DriveFault):
+        situation.run()
+    assert situation.tracker.closed
+    assert signal.getsignal(request_to_end) is before
+
+
+def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Situation) -> None:
+    situation.tracker.lost_from = 7  # the seventh shot: the second visit, measured again, finds no beam
+    with pytest.raises(BeamLost):
+        situation.run(Scripted(situation, None, None, Command.REDO))
+    assert situation.indices() == [0, 1]
 
 
 def test_a_finished_campaign_moves_nothing_more(situation: Situation) -> None:
