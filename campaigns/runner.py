@@ -123,7 +123,11 @@ class _Run:
             devices = self._bench.start(reset_faults)
             places = self._places()
             with self._open(existing, meta, places) as file:
-                self._log(file, "start", "resumed" if existing else "started", _start_note(devices, self._bench))
+                note = _start_note(devices, self._bench)
+                if existing and note["site_sha256"] != file.meta().get("site_sha256", ""):
+                    note["site"] = self._bench.notes.get("site", "")
+                    self._operator.tell("The site file is another than the recording was begun with; both are kept.")
+                self._log(file, "start", "resumed" if existing else "started", note)
                 return self._visits(file)
         except KeyboardInterrupt:
             self._bench.stop()

@@ -34,7 +34,7 @@ class BusConfig:
     can                python-can's own arguments: interface, channel, bitrate, sleep_after_open, …
     sync_period        SYNC while shaking hands; 10–20 ms is sane at 500 kbit/s                      [s]
     poll_period        longest time between two SYNCs while axes travel; faults reported by EMCY are acted on at
-                       once all the same. 0.1 s on site; 1 s where simulated time makes polls the main cost  [s]
+                       once all the same. Longer where simulated time makes polls the main cost               [s]
     heartbeat_period   what the drives are told to send; `heartbeat_timeout` without one is HeartbeatLost     [s]
     answer_timeout     a node that sends no process data this long after SYNC is silent                       [s]
     host_node_id       when given, the host sends a heartbeat as this node and the drives are told to watch it, so that
@@ -43,7 +43,7 @@ class BusConfig:
 
     can: Mapping[str, Any]
     sync_period: float = 0.02
-    poll_period: float = 1.0
+    poll_period: float = 0.1
     heartbeat_period: float = 0.5
     heartbeat_timeout: float = 1.5
     answer_timeout: float = 0.5

@@ -64,9 +64,11 @@ from ppshw.errors import (
     HardwareTimeout,
     HeartbeatLost,
     IdentityMismatch,
+    SiteError,
     Stopped,
 )
 
+COARSE = 0.05  # share by which whole drive units may change a speed
 FOLLOWING_S = 0.1  # s outside a following-error window until it is an error, where the site gives a window alone
 
 
@@ -199,12 +201,14 @@ class Cia402Axis:
         """Only what is derived may be missing in the drive: a safety setting that was asked for is not left out."""
         c = self.config
         per_s, per_s2 = c.counts_per_unit * c.velocity_units, c.counts_per_unit * c.acceleration_units
-        self.sdo.set(VELOCITY, max(1, round(c.velocity * per_s)))
-        self.sdo.set(ACCELERATION, max(1, round(c.acceleration * per_s2)))
+        self.sdo.set(VELOCITY, self.in_whole_units(c.velocity * per_s, "velocity"))
+        acceleration = self.in_whole_units(c.acceleration * per_s2, "acceleration")
+        self.sdo.set(ACCELERATION, acceleration)
         if c.deceleration is not None:
-            self.sdo.set_asked(DECELERATION, max(1, round(c.deceleration * per_s2)), self._key("deceleration"))
+            braking = self.in_whole_units(c.deceleration * per_s2, "deceleration")
+            self.sdo.set_asked(DECELERATION, braking, self._key("deceleration"))
         else:
-            self.sdo.set_if_present(DECELERATION, max(1, round(c.acceleration * per_s2)))
+            self.sdo.set_if_present(DECELERATION, acceleration)
         low, high = sorted((c.to_counts(c.lower), c.to_counts(c.upper)))
         self.sdo.set_if_present(LIMIT_LOW, low)
         self.sdo.set_if_present(LIMIT_HIGH, high)
@@ -217,6 +221,17 @@ class Cia402Axis:
             self.sdo.set_asked(FOLLOWING_TIME, round(c.following_s * 1000), self._key("following_s"))
         elif c.following_window is not None:
             self.sdo.set_if_present(FOLLOWING_TIME, round(FOLLOWING_S * 1000))
+
+    def in_whole_units(self, amount: float, of: str) -> int:
+        """A speed or an acceleration as the drive takes it. Raises SiteError where whole units are too coarse for it:
+        0.15 of a unit would be driven as one, seven times too fast."""
+        whole = round(amount)
+        if abs(whole - amount) > COARSE * amount:
+            raise SiteError(
+                f"{self._key(of)}: {amount:.3g} of the drive's units, which takes whole ones; expected finer units "
+                "(velocity_units, acceleration_units) or another value"
+            )
+        return whole
 
     def _key(self, of: str) -> str:
         """Where the site file says it."""
@@ -300,14 +315,18 @@ class Cia402Axis:
         """Acknowledge a fault. Never enables: no bit that could is set in either controlword."""
         if self.state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
+            self._wait_while(State.FAULT_REACTION_ACTIVE, timeout, "after its fault")  # a reset would be lost meanwhile
             self.sdo.write(CONTROLWORD, FAULT_RESET)
-            deadline = self._bus.clock.now() + timeout
-            while (state := self.state()) is State.FAULT:
-                if self._bus.clock.now() > deadline:
-                    raise HardwareTimeout(self.name, f"still {state} {timeout:g} s after fault reset")
-                self._bus.clock.sleep(self._bus.config.sync_period)
+            self._wait_while(State.FAULT, timeout, "after fault reset")
             self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
         self._emergency, self._restarted, self.snapshot, self.target = None, False, None, None
+
+    def _wait_while(self, bad: State, timeout: float, since: str) -> None:
+        deadline = self._bus.clock.now() + timeout
+        while self.state() is bad:
+            if self._bus.clock.now() > deadline:
+                raise HardwareTimeout(self.name, f"still {bad} {timeout:g} s {since}")
+            self._bus.clock.sleep(self._bus.config.sync_period)
 
     # process data
 

@@ -48,9 +48,9 @@ def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
         axis.sdo.set_asked(HOME_OFFSET, offset, f"axes.{axis.name}.homing.offset")
     else:
         axis.sdo.set_if_present(HOME_OFFSET, offset)
-    for entry, speed in ((HOMING_FAST, homing.fast), (HOMING_SLOW, homing.slow)):
+    for entry, key, speed in ((HOMING_FAST, "fast", homing.fast), (HOMING_SLOW, "slow", homing.slow)):
         if speed is not None:
-            axis.sdo.set(entry, max(1, round(speed * c.counts_per_unit * c.velocity_units)))
+            axis.sdo.set(entry, axis.in_whole_units(speed * c.counts_per_unit * c.velocity_units, f"homing.{key}"))
     _command(axis, bus, exchange, HOMING, ENABLE)
     _command(axis, bus, exchange, HOMING, ENABLE | NEW_SET_POINT)
     _wait_until_attained(axis, bus, exchange, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)

@@ -56,7 +56,8 @@ class Machine:
         self.axes = axes or (SLIDE, LIFT, SLEW)
         for axis in self.axes:
             self.rack.add(SimulatedDrive(axis.node_id, self.clock, self.rack.network, **drive))
-        bus = BusConfig(can={"interface": "virtual", "channel": self.rack.channel}, sdo_timeout=0.2)
+        virtual = {"interface": "virtual", "channel": self.rack.channel}
+        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.2)
         self.group = Cia402Group(self.axes, bus, self.clock)
 
     @property
@@ -382,6 +383,25 @@ def test_after_a_quick_stop_nothing_moves_until_the_group_is_started_again(machi
 def test_a_quick_stop_never_raises_not_even_on_a_dead_bus(machine: Machine) -> None:
     machine.rack.close()
     machine.group.quick_stop()
+
+
+def test_a_speed_that_whole_drive_units_would_make_much_faster_is_refused(build: Callable[..., Machine]) -> None:
+    coarse = replace(SLIDE, velocity=0.01, velocity_units=1.46e-4)  # 0.146 units, which was sent as 1
+    with pytest.raises(SiteError, match=r"axes\.slide\.velocity: 0\.146 of the drive's units"):
+        build(coarse).group.start()
+
+
+def test_a_fault_is_reset_when_the_drive_s_reaction_to_it_has_ended(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """During the reaction the edge is lost; the simulated drive has none, so its states are put in by hand."""
+    axis = machine.group.axis("lift")
+    said = [State.FAULT_REACTION_ACTIVE] * 3 + [State.FAULT] * 2 + [State.SWITCH_ON_DISABLED] * 3
+    resets = []
+    monkeypatch.setattr(axis, "state", lambda: said.pop(0))
+    monkeypatch.setattr(axis.sdo, "write", lambda entry, value: resets.append(said[0]) if value == 0x80 else None)
+    axis.reset_fault()
+    assert resets == [State.FAULT]
 
 
 def test_a_fault_reset_enables_nothing(machine: Machine) -> None:

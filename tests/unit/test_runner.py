@@ -8,6 +8,7 @@ import os
 import select
 import signal
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -319,6 +320,22 @@ def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Sit
     with pytest.raises(BeamLost):
         situation.run(Scripted(situation, None, None, Command.REDO))
     assert situation.indices() == [0, 1]
+
+
+def test_a_resumed_run_keeps_another_site_file_beside_the_first(situation: Situation) -> None:
+    situation.axes.trouble = (2, DriveFault("yaw", "tripped"))
+    for text in ("a: 1", "a: 2"):
+        bench = situation.bench()
+        bench.notes = {"site": text, "site_sha256": text}
+        operator = Scripted(situation)
+        if text == "a: 2":
+            situation.axes.trouble = None
+        with bench, nullcontext() if situation.axes.trouble is None else pytest.raises(DriveFault):
+            run_campaign(situation.plan, bench, situation.out, operator)
+    assert operator.told == ["The site file is another than the recording was begun with; both are kept."]
+    with RecordingFile.open(situation.out) as file:
+        assert file.meta()["site"] == "a: 1"
+        assert [data.get("site") for _, kind, _, data in file.events() if kind == "start"] == [None, "a: 2"]
 
 
 def test_a_finished_campaign_moves_nothing_more(situation: Situation) -> None:
