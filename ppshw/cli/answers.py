@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ppshw.errors import BadInput
+from ppshw.errors import BadInput, IdentificationFailed, RecordingError
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
@@ -24,6 +25,24 @@ def warn(arguments: argparse.Namespace, warnings: Sequence[str]) -> None:
     """What is odd about the recording that a command goes on with: beside the answer, which may be JSON."""
     for warning in warnings:
         print(f"warning: {arguments.rec}: {warning}", file=sys.stderr)
+
+
+def as_they_stand(mistakes: Sequence[Any]) -> list[str]:
+    """Warnings of columns that seem wrong, where a command goes on with them."""
+    stands = {True: "they stand: set them", False: "it stands: set it"}
+    return [f"{m.said}; taken as {stands[m.several]} right" for m in mistakes]
+
+
+@contextmanager
+def columns_named(machine: Any, recording: Any) -> Iterator[None]:
+    """Where a recording is refused, which columns with the wrong sign or unit, or exchanged, would explain it."""
+    try:
+        yield
+    except (RecordingError, IdentificationFailed) as exc:
+        from ppshw.diagnosis.columns import plain_mistakes
+
+        mistakes = plain_mistakes(machine, recording)[1]
+        raise (type(exc)(f"{exc} (see: {mistakes[0].said})") if mistakes else exc) from None
 
 
 FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"

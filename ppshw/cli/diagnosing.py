@@ -8,7 +8,17 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say, warn
+from ppshw.cli.answers import (
+    FIGURE_HEAD,
+    REPORT_S,
+    TWINNED_PER_S,
+    columns_named,
+    figure_row,
+    new_file,
+    new_files,
+    say,
+    warn,
+)
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
@@ -99,7 +109,8 @@ def twin(a: argparse.Namespace) -> None:
     table = read_table(a.rec)
     check_machine(table, machine)
     recording = parse_table(table, machine)
-    refuse_another_machine(machine, recording)
+    with columns_named(machine, recording):
+        refuse_another_machine(machine, recording)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))
         checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]
