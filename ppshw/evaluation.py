@@ -81,7 +81,7 @@ def figures(errors: Array) -> dict[str, float]:
 def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
-    """The contract's answer of `ppshw evaluate` (§3) over the visits with a reading, with readings and median beside it,
+    """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
     the numbers of visits that no error of a machine explains, and whether the calibration was identified from this very
     recording; where it carries effects, how many visits of its own recording this one goes on from, and how many are at
     temperatures that its effects were never measured at; where structure without a name, how many visits lie where
