@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ppshw.errors import BadInput, IdentificationFailed, RecordingError
+from ppshw.whole_file import written_whole
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
@@ -18,7 +19,16 @@ TWINNED_PER_S = 250.0
 
 
 def say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
-    print(json.dumps(answer, indent=1) if arguments.json else text)
+    put(json.dumps(answer, indent=1) if arguments.json else text)
+
+
+def put(text: str) -> None:
+    """Onto standard output, all of it. An OSError says what could not be written."""
+    try:
+        print(text, flush=True)
+    except OSError as exc:
+        exc.filename = "standard output"
+        raise
 
 
 def warn(arguments: argparse.Namespace, warnings: Sequence[str]) -> None:
@@ -54,7 +64,7 @@ def figure_row(name: str, values: dict[str, Any]) -> str:
 
 
 def new_file(path: str, *inputs: str) -> Path:
-    """Where an answer may go. Raises BadInput before anything is computed, not after."""
+    """Where an answer may go. Raises BadInput, or the system's OSError, before anything is computed, not after."""
     out = Path(path)
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
@@ -63,6 +73,9 @@ def new_file(path: str, *inputs: str) -> Path:
     for given in inputs:
         if out.exists() and Path(given).exists() and out.samefile(given):
             raise BadInput(f"{out}: is what is read here, expected another file to write")
+    with written_whole(out, may_be_missing=True) as partial:  # an OSError where nothing can be written there
+        partial.touch()
+        partial.unlink()
     return out
 
 

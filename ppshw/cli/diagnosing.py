@@ -16,6 +16,7 @@ from ppshw.cli.answers import (
     figure_row,
     new_file,
     new_files,
+    put,
     say,
     warn,
 )
@@ -77,7 +78,7 @@ def diagnose(a: argparse.Namespace) -> None:
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
     lines += [f"page {a.page}"] if a.page else []
-    print("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
+    put("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
 
 
 def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:

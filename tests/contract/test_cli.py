@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import errno
 import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +25,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.recording import Table, load_recording, read_table
 from ppshw.recording_file import RecordingFile, only_writer
+from ppshw.whole_file import written_whole
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 from tests.contract.desk import MACHINE, ROOT, Said, contents, ppshw, refused
@@ -342,6 +346,47 @@ def test_whoever_reads_may_stop_reading(desk: Path) -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.startswith("paper on pps: 669 visits")
     assert done.stderr == ""
+
+
+def test_an_answer_that_nobody_wants_is_no_failure(desk: Path) -> None:
+    command = f"'{PROGRAM}' evaluate good.csv --machine machine.yaml >&-"
+    done = subprocess.run(["bash", "-c", command], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_standard_output_that_is_full_is_called_so(desk: Path) -> None:
+    command = f"'{PROGRAM}' evaluate good.csv --machine machine.yaml >/dev/full"
+    done = subprocess.run(["bash", "-c", command], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (1, "ppshw: standard output: No space left on device\n")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody can write to")
+@pytest.mark.parametrize("words", [["export", "good.db"], ["import", "good.csv", "--machine", "machine.yaml", "--out"]])
+def test_a_file_that_cannot_be_written_is_named_as_it_was_asked_for(desk: Path, words: list[str]) -> None:
+    words = [str(PROGRAM), *words, "/proc/new"]
+    said = subprocess.run(words, cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (said.returncode, said.stderr) == (2, "ppshw: /proc/new: No such file or directory\n")
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No space left") as caught, written_whole(tmp_path / "new.csv"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert caught.value.filename == str(tmp_path / "new.csv")
+
+
+def test_ctrl_c_ends_a_simulation_that_a_script_started_beside_itself(desk: Path) -> None:
+    """A shell without job control has what it starts with & ignore Ctrl-C."""
+    command = f"'{PROGRAM}' simulate --machine machine.yaml --site-out sim.yaml --json & wait"
+    with subprocess.Popen(["bash", "-c", command], cwd=desk, stdout=subprocess.PIPE, start_new_session=True) as shell:
+        assert shell.stdout is not None
+        assert shell.stdout.readline()
+        os.killpg(shell.pid, signal.SIGINT)
+        try:
+            assert shell.communicate(timeout=20)[0] == b""  # which waits for the last that holds the pipe
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(shell.pid, signal.SIGKILL)
 
 
 def test_an_answer_leaves_no_other_file_than_the_one_asked_for(desk: Path) -> None:
