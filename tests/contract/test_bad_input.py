@@ -552,7 +552,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "a campaign that is neither file nor name": ("plan waltz --machine machine.yaml", "waltz"),
     "a pose of five": ("compensate CAL --pose 1 2 3 4 5", "--pose: '1 2 3 4 5' holds 5 values, expected 6 finite numbers"),
     "a pose in words": ("compensate CAL --pose here", "--pose: 'here' holds something that is no number, expected 6"),
-    "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "expected 6 finite numbers"),
+    "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "--pose: value 6 of 6, nan, is no finite number below 1e+09"),
     "a wrench of two": ("compensate CAL --joints 0 0 --wrench 1 2", "--wrench: '1 2' holds 2 values, expected 6"),
     "three joints of two": ("compensate CAL --joints 0,0,0", "--joints: '0,0,0' holds 3 values, expected 2"),
     "near three of two": ("compensate CAL --pose 0 0 0 0 0 0 --near 1 2 3", "--near: '1 2 3' holds 3 values, expected 2"),
