@@ -1,4 +1,4 @@
-"""Numbers with their units for the eye: what is printed, never what is written for programs."""
+"""Numbers with their units, and names, for the eye: what is printed, never what is written for programs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ def rounded(value: float) -> str:
     """Three digits, the rest of a large number filled with zeros: 2.62e+03 is 2620."""
     three = float(f"{value:.3g}")
     return f"{three:.0f}" if abs(three) >= 1e3 else f"{three:g}"
+
+
+def called(effect: str, joint: str | None = None) -> str:
+    """An effect in plain words, and whose it is."""
+    words = "no name" if effect == "nameless" else effect.replace("_", " ")
+    return f"{words} of {joint}" if joint else words
 
 
 def value_of(p: Mapping[str, Any]) -> str:

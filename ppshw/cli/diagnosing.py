@@ -23,6 +23,7 @@ from ppshw.cli.answers import (
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
+from ppshw.quantities import called
 from ppshw.whole_file import written_whole
 
 
@@ -88,7 +89,7 @@ def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> l
     lines: list[str] = []
     for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
         lines += [
-            f"visits that would tell {one} from {other}{' of ' + joint if joint else ''}:",
+            f"visits that would tell {called(one)} from {called(other, joint)}:",
             f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
             f"    {plan_options(one, other, joint)} --out next.yaml",
         ]
