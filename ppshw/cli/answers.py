@@ -31,10 +31,10 @@ def put(text: str) -> None:
         raise
 
 
-def warn(arguments: argparse.Namespace, warnings: Sequence[str]) -> None:
-    """What is odd about the recording that a command goes on with: beside the answer, which may be JSON."""
+def warn(source: str, warnings: Sequence[str]) -> None:
+    """What is odd about a file that a command goes on with: beside the answer, which may be JSON."""
     for warning in warnings:
-        print(f"warning: {arguments.rec}: {warning}", file=sys.stderr)
+        print(f"warning: {source}: {warning}", file=sys.stderr)
 
 
 def as_they_stand(mistakes: Sequence[Any]) -> list[str]:

@@ -52,7 +52,7 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
-    warn(a, warnings := doubts(recording))
+    warn(a.rec, warnings := doubts(recording))
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     answer = {**found.answer, "warnings": warnings}

@@ -61,7 +61,7 @@ def identify(a: argparse.Namespace) -> None:
             )
     calibration.save(out)
     looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
-    warn(a, warnings := warnings + as_they_stand(looked(machine, believed)[1]))
+    warn(a.rec, warnings := warnings + as_they_stand(looked(machine, believed)[1]))
     set_aside = np.flatnonzero((estimate.weights <= 0.5) & recording.seen.any(axis=1))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
@@ -108,7 +108,7 @@ def evaluate(a: argparse.Namespace) -> None:
     recording = without_copies(given)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
-    warn(a, warnings := doubts(given) + as_they_stand(plain_mistakes(machine, recording)[1]))
+    warn(a.rec, warnings := doubts(given) + as_they_stand(plain_mistakes(machine, recording)[1]))
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])

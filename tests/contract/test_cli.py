@@ -286,6 +286,13 @@ def test_compensate_prints_a_table_for_people(compensate: list[str | Path]) -> N
     assert max(map(len, lines)) <= 80
 
 
+def test_the_age_of_a_load_that_nothing_goes_with_is_warned_of(compensate: list[str | Path]) -> None:
+    said = ppshw(*compensate, "--joints", "0.1 0.2 0.5 0 0 0", "--loaded-for", "7200", "--json")
+    warning = "--loaded-for: no effect here goes with the age of a load, it changes nothing"
+    assert (said.code, said.err) == (0, f"warning: {compensate[4]}: {warning}\n")
+    assert json.loads(said.out)["warnings"] == [warning]
+
+
 def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | Path]) -> None:
     assert "joint 'yaw' at 2 rad is outside" in refused(tmp_path, *compensate, "--joints", "0 0 0.5 2 0 0")
     assert re.search(r"the pose needs joint '\w+' \S+ (m|rad) beyond its limits",
