@@ -67,6 +67,17 @@ def test_help_fits_a_terminal_and_says_values_as_they_are_given(command: str, mo
     assert not re.search(r"\[[^\[\]]*\.\.\.\]", text)
 
 
+def test_report_s_help_and_the_readme_name_every_file_that_it_reads() -> None:
+    from ppshw.report import contents as c
+
+    said = ppshw("report", "--help").out
+    row = next(line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if "`ppshw report`" in line)
+    for name in (c.MACHINE, c.CALIBRATION, c.RESULT, c.CONCEALED, c.EXTENDED, c.DIAGNOSIS,
+                 *(f"{stem}.db" for stem in c.RECORDINGS)):  # fmt: skip
+        assert name in said
+        assert f"`{name}`" in row
+
+
 def test_help_lists_every_command_and_the_version_is_the_package_s() -> None:
     said = ppshw("--help")
     for command in COMMANDS:
