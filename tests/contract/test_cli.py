@@ -71,7 +71,8 @@ def test_report_s_help_and_the_readme_name_every_file_that_it_reads() -> None:
     from ppshw.report import contents as c
 
     said = ppshw("report", "--help").out
-    row = next(line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if "`ppshw report`" in line)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    row = next(line for line in readme.splitlines() if "`ppshw report`" in line)
     for name in (c.MACHINE, c.CALIBRATION, c.RESULT, c.CONCEALED, c.EXTENDED, c.DIAGNOSIS,
                  *(f"{stem}.db" for stem in c.RECORDINGS)):  # fmt: skip
         assert name in said
