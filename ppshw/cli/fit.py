@@ -59,9 +59,10 @@ def identify(a: argparse.Namespace) -> None:
                 f"{a.rec}: the fit leaves {fit['rms_mm']:.3f} mm rms where the ideal machine leaves "
                 f"{ideal['rms_mm']:.3f} mm: nothing was written"
             )
-    calibration.save(out)
     looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
-    warn(a.rec, warnings := warnings + as_they_stand(looked(machine, believed)[1]))
+    warnings += as_they_stand(looked(machine, believed)[1])
+    calibration.save(out)
+    warn(a.rec, warnings)
     set_aside = np.flatnonzero((estimate.weights <= 0.5) & recording.seen.any(axis=1))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
