@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from campaigns.script import LoadCase, PosesStep, RandomStep, ReversalsStep, Script, Step, SweepStep
+from campaigns.script import (
+    LoadCase,
+    PosesStep,
+    RandomStep,
+    ReversalsStep,
+    Script,
+    Step,
+    SweepStep,
+    not_on_any_machine,
+)
 from ppshw import kinematics
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Machine
@@ -271,7 +280,10 @@ def _check_targets(visit: Visit, machine: Machine) -> None:
     for target in visit.targets:
         if target not in machine.targets and target not in machine.points:
             known = ", ".join([*machine.targets, *machine.points])
-            raise CampaignError(f"{visit.where}: step {visit.step}: no target '{target}' (there are: {known})")
+            raise CampaignError(
+                f"{visit.where}: step {visit.step}: no target '{target}' (there are: {known})"
+                f"{not_on_any_machine(visit.where)}"
+            )
 
 
 def _check_joints(names: Iterable[str], machine: Machine, where: str) -> None:
@@ -281,7 +293,8 @@ def _check_joints(names: Iterable[str], machine: Machine, where: str) -> None:
 
 def _joint_index(name: str, machine: Machine, where: str) -> int:
     if name not in machine.joint_names:
-        raise CampaignError(f"{where}: no joint '{name}' (there are: {', '.join(machine.joint_names)})")
+        known = ", ".join(machine.joint_names)
+        raise CampaignError(f"{where}: no joint '{name}' (there are: {known}){not_on_any_machine(where)}")
     return machine.joint_names.index(name)
 
 

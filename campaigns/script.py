@@ -17,6 +17,8 @@ import numpy as np
 from ppshw.errors import CampaignError
 from ppshw.strict_yaml import Section, read_yaml
 
+# Scripts of ours that name no joint and no target; the others are the positioner's.
+ON_ANY_MACHINE = ("diagnosis", "quick")
 DIRECTIONS = ("up", "down", "both")
 ORDERS = ("by_load", "as_written")
 # Where a script does not say: to stand still, for one target, to put another load on [s].
@@ -160,6 +162,13 @@ def script_path(name: str) -> Path:
 def shipped_scripts() -> list[str]:
     found = (files("campaigns") / "scripts").iterdir()
     return sorted(entry.name.removesuffix(".yaml") for entry in found if entry.name.endswith(".yaml"))
+
+
+def not_on_any_machine(where: str) -> str:
+    """What else to say where a machine has not the names of a script, at `where` (file, or file:line): of one that
+    comes with the package, which ones go with any machine."""
+    ours = where.startswith(str(files("campaigns") / "scripts"))
+    return f"; of the scripts that come with ppshw {' and '.join(ON_ANY_MACHINE)} go with any machine" if ours else ""
 
 
 def load_script(path: Path | str) -> Script:

@@ -82,15 +82,17 @@ def figures(errors: Array) -> dict[str, float]:
 def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
-    """The contract's answer of `ppshw evaluate` (§3), with readings and median beside it, the numbers of visits that no
-    error of a machine explains, and whether the calibration was identified from this very recording; where it carries
-    effects, how many visits of its own recording this one goes on from, and how many are at temperatures that its
-    effects were never measured at; where structure without a name, how many visits lie where nothing is known of it."""
+    """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
+    the numbers of visits that no error of a machine explains, and whether the calibration was identified from this very
+    recording; where it carries effects, how many visits of its own recording this one goes on from, and how many are at
+    temperatures that its effects were never measured at; where structure without a name, how many visits lie where
+    nothing is known of it."""
     left = nominal_residuals(recording, machine, refit_base)
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
     answer = {
-        "visits": len(recording), "readings": int(recording.seen.sum()), **figures(left), "nominal": nominal,
+        "visits": int(recording.seen.any(axis=1).sum()), "readings": int(recording.seen.sum()),
+        **figures(left), "nominal": nominal,
         "far_off": (np.flatnonzero(far_off(left).any(axis=1)) + 1).tolist(),
     }  # fmt: skip
     if calibration is not None:

@@ -1,4 +1,4 @@
-"""Numbers with their units for the eye: what is printed, never what is written for programs."""
+"""Numbers with their units, and names, for the eye: what is printed, never what is written for programs."""
 
 from __future__ import annotations
 
@@ -25,6 +25,12 @@ def angle(radians: float) -> str:
 def rounded(value: float) -> str:
     """Three digits without an exponent, the rest filled with zeros: 2.62e+03 is 2620, 5e-05 is 0.00005."""
     return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+
+
+def called(effect: str, joint: str | None = None) -> str:
+    """An effect in plain words, and whose it is."""
+    words = "no name" if effect == "nameless" else effect.replace("_", " ")
+    return f"{words} of {joint}" if joint else words
 
 
 def value_of(p: Mapping[str, Any]) -> str:

@@ -23,6 +23,10 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
         yield partial
         if partial.exists() or not may_be_missing:
             os.replace(partial, path)
+    except OSError as exc:
+        if str(exc.filename or partial) == str(partial):  # a full disk names no file at all
+            exc.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
 

@@ -36,7 +36,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args([f" {word}" if _NEGATIVE.fullmatch(word) else word for word in argv])
     try:
         arguments.function(arguments)
-        sys.stdout.flush()
     except PpshwError as error:
         return _complain(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -57,10 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _as_a_program() -> None:
-    """What concerns the whole process: a polite kill stops the axes like Ctrl-C; stderr is for our one line alone."""
-    for name in ("SIGTERM", "SIGHUP"):
+    """What concerns the whole process: a polite kill stops the axes like Ctrl-C, which a shell that starts us with &
+    has ignored; stderr is for our one line alone; what is written to a stream that was closed is lost."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.default_int_handler)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  as long as the process
     if not os.environ.get("PPSHW_DEBUG"):
         logging.captureWarnings(True)
         logging.getLogger().addHandler(logging.NullHandler())  # else Python prints the drivers' warnings itself

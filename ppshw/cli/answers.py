@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ppshw.errors import BadInput
+from ppshw.errors import BadInput, IdentificationFailed, RecordingError
+from ppshw.whole_file import written_whole
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
@@ -17,13 +19,40 @@ TWINNED_PER_S = 250.0
 
 
 def say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
-    print(json.dumps(answer, indent=1) if arguments.json else text)
+    put(json.dumps(answer, indent=1) if arguments.json else text)
 
 
-def warn(arguments: argparse.Namespace, warnings: Sequence[str]) -> None:
-    """What is odd about the recording that a command goes on with: beside the answer, which may be JSON."""
+def put(text: str) -> None:
+    """Onto standard output, all of it. An OSError says what could not be written."""
+    try:
+        print(text, flush=True)
+    except OSError as exc:
+        exc.filename = "standard output"
+        raise
+
+
+def warn(source: str, warnings: Sequence[str]) -> None:
+    """What is odd about a file that a command goes on with: beside the answer, which may be JSON."""
     for warning in warnings:
-        print(f"warning: {arguments.rec}: {warning}", file=sys.stderr)
+        print(f"warning: {source}: {warning}", file=sys.stderr)
+
+
+def as_they_stand(mistakes: Sequence[Any]) -> list[str]:
+    """Warnings of columns that seem wrong, where a command goes on with them."""
+    stands = {True: "they stand: set them", False: "it stands: set it"}
+    return [f"{m.said}; taken as {stands[m.several]} right" for m in mistakes]
+
+
+@contextmanager
+def columns_named(machine: Any, recording: Any) -> Iterator[None]:
+    """Where a recording is refused, which columns with the wrong sign or unit, or exchanged, would explain it."""
+    try:
+        yield
+    except (RecordingError, IdentificationFailed) as exc:
+        from ppshw.diagnosis.columns import plain_mistakes
+
+        mistakes = plain_mistakes(machine, recording)[1]
+        raise (type(exc)(f"{exc} (see: {mistakes[0].said})") if mistakes else exc) from None
 
 
 FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"
@@ -35,7 +64,7 @@ def figure_row(name: str, values: dict[str, Any]) -> str:
 
 
 def new_file(path: str, *inputs: str) -> Path:
-    """Where an answer may go. Raises BadInput before anything is computed, not after."""
+    """Where an answer may go. Raises BadInput, or the system's OSError, before anything is computed, not after."""
     out = Path(path)
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
@@ -44,6 +73,9 @@ def new_file(path: str, *inputs: str) -> Path:
     for given in inputs:
         if out.exists() and Path(given).exists() and out.samefile(given):
             raise BadInput(f"{out}: is what is read here, expected another file to write")
+    with written_whole(out, may_be_missing=True) as partial:  # an OSError where nothing can be written there
+        partial.touch()
+        partial.unlink()
     return out
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from ppshw.errors import BadInput
 
+LARGEST = 1e9  # that a number may be, in whatever unit
+
 
 def machine_of(a: argparse.Namespace) -> Any:
     """The machine file of that path, or the one of that name that comes with ppshw."""
@@ -33,8 +35,12 @@ def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.d
         values = np.array([float(w) for w in text.translate(_BETWEEN_NUMBERS).split()])
     except ValueError:
         raise BadInput(f"{what}: '{text}' holds something that is no number, expected {count} numbers") from None
-    if len(values) != count or not (np.abs(values) < 1e9).all():
+    if len(values) != count:
         raise BadInput(f"{what}: '{text}' holds {len(values)} values, expected {count} finite numbers")
+    for k, value in enumerate(values, start=1):
+        if not abs(value) < LARGEST:
+            which = f"value {k} of {count}, {value:g}," if count > 1 else f"{value:g}"
+            raise BadInput(f"{what}: {which} is no finite number below {LARGEST:g}")
     return values
 
 

@@ -8,10 +8,22 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ppshw.cli.answers import FIGURE_HEAD, REPORT_S, TWINNED_PER_S, figure_row, new_file, new_files, say, warn
+from ppshw.cli.answers import (
+    FIGURE_HEAD,
+    REPORT_S,
+    TWINNED_PER_S,
+    columns_named,
+    figure_row,
+    new_file,
+    new_files,
+    put,
+    say,
+    warn,
+)
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
+from ppshw.quantities import called
 from ppshw.whole_file import written_whole
 
 
@@ -40,7 +52,7 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
-    warn(a, warnings := doubts(recording))
+    warn(a.rec, warnings := doubts(recording))
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     answer = {**found.answer, "warnings": warnings}
@@ -67,7 +79,7 @@ def diagnose(a: argparse.Namespace) -> None:
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
     lines += [f"page {a.page}"] if a.page else []
-    print("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
+    put("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
 
 
 def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:
@@ -77,7 +89,7 @@ def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> l
     lines: list[str] = []
     for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
         lines += [
-            f"visits that would tell {one} from {other}{' of ' + joint if joint else ''}:",
+            f"visits that would tell {called(one)} from {called(other, joint)}:",
             f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
             f"    {plan_options(one, other, joint)} --out next.yaml",
         ]
@@ -99,7 +111,8 @@ def twin(a: argparse.Namespace) -> None:
     table = read_table(a.rec)
     check_machine(table, machine)
     recording = parse_table(table, machine)
-    refuse_another_machine(machine, recording)
+    with columns_named(machine, recording):
+        refuse_another_machine(machine, recording)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))
         checks = [c.as_dict() for c in compare(calibration, recording, a.seed)]

@@ -7,7 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ppshw.cli.answers import EVALUATED_PER_S, FIGURE_HEAD, STEPWISE_PER_S, figure_row, new_file, say, warn
+from ppshw.cli.answers import (
+    EVALUATED_PER_S,
+    FIGURE_HEAD,
+    STEPWISE_PER_S,
+    as_they_stand,
+    columns_named,
+    figure_row,
+    new_file,
+    say,
+    warn,
+)
 from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
 
@@ -19,8 +29,8 @@ def identify(a: argparse.Namespace) -> None:
     import time
 
     from ppshw.calibration import Calibration
-    from ppshw.diagnosis.columns import plain_mistakes
-    from ppshw.errors import IdentificationFailed, RecordingError
+    from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+    from ppshw.errors import IdentificationFailed
     from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
@@ -33,11 +43,10 @@ def identify(a: argparse.Namespace) -> None:
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
     warnings = doubts(recording)
+    recording = without_copies(recording)
     if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
         warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
-    recording = without_copies(recording)
-    mistakes = [f"{m.subject} {m.what}" for m in plain_mistakes(machine, recording)[1]]
-    try:
+    with columns_named(machine, recording):
         with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
             estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
         ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
@@ -50,15 +59,14 @@ def identify(a: argparse.Namespace) -> None:
                 f"{a.rec}: the fit leaves {fit['rms_mm']:.3f} mm rms where the ideal machine leaves "
                 f"{ideal['rms_mm']:.3f} mm: nothing was written"
             )
-    except (RecordingError, IdentificationFailed) as exc:
-        raise (type(exc)(f"{exc} (see: {mistakes[0]})") if mistakes else exc) from None
+    looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
+    warnings += as_they_stand(looked(machine, believed)[1])
     calibration.save(out)
-    warnings += [f"{mistake}; taken as it stands: set it right" for mistake in mistakes]
-    warn(a, warnings)
+    warn(a.rec, warnings)
     set_aside = np.flatnonzero((estimate.weights <= 0.5) & recording.seen.any(axis=1))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
-        "visits": len(recording),
+        "visits": visits,
         "readings": int(recording.seen.sum()),
         "parameters": len(calibration.theta),
         "method": a.method,
@@ -90,15 +98,18 @@ def identify(a: argparse.Namespace) -> None:
 
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
+    from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import evaluate as run
-    from ppshw.identification.plausible import doubts, refuse_another_machine
+    from ppshw.identification.plausible import doubts, refuse_another_machine, without_copies
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
-    recording = load_recording(a.rec, machine)
-    refuse_another_machine(machine, recording)
-    warn(a, warnings := doubts(recording))
+    given = load_recording(a.rec, machine)
+    recording = without_copies(given)
+    with columns_named(machine, recording):
+        refuse_another_machine(machine, recording)
+    warn(a.rec, warnings := doubts(given) + as_they_stand(plain_mistakes(machine, recording)[1]))
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])

@@ -151,8 +151,11 @@ def build_parser() -> argparse.ArgumentParser:
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR",
-                   help="machine.yaml, and what there is of calibration.json, campaign.db, diagnosis.json, "
-                   "verification_nominal.db, verification_compensated.db, repeatability.db")  # fmt: skip
+                   help="machine.yaml, and what there is of calibration.json, campaign.db (or the recording that the "
+                   "calibration was made from), diagnosis.json, verification_nominal.db, verification_compensated.db, "
+                   "repeatability.db, demo.json; of a demo --conceal also verification_base.db, "
+                   "verification_extended.db, extended.json, concealed.json. Recordings may be .csv instead of "
+                   ".db")  # fmt: skip
 
     about = "locate, name and model what the model leaves unexplained in a recording"
     p = commands.add_parser("diagnose", help=about, description=f"{about[0].upper()}{about[1:]}.")

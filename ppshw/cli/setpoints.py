@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ppshw.cli.answers import say
+from ppshw.cli.answers import say, warn
 from ppshw.cli.arguments import machine_of, numbers, pairs
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
@@ -36,19 +36,23 @@ def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
     return Circumstances(start, approach, around=Around(temperatures=temperatures), loaded_for=a.loaded_for)
 
 
-def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str, Any], str]:
-    """What `compensate` and `move` share: the wanted pose, corrected.
-
-    given  the circumstances, where the site has been asked; None: what the options say
-    """
+def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
+    """What corrects setpoints by the calibration, and warnings of options that it has no use for."""
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Bounds, Compensator
+
+    calibration = load_calibration(a.calibration, machine_of(a))
+    warnings = []
+    if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
+        warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
+    return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
+
+
+def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dict[str, Any], str]:
+    """The wanted pose, corrected under the circumstances given."""
     from ppshw.transforms import from_xyz_rpy
 
-    machine = machine_of(a)
-    calibration = load_calibration(a.calibration, machine)
-    compensator = Compensator(calibration, Bounds(a.max_travel, a.max_angle))
-    given = given or _circumstances(a, calibration)
+    machine = compensator.machine
     payload = numbers(a.wrench, 6, "--wrench")
     if a.point not in ("tip", *machine.points, *machine.targets):
         known = ", ".join(["tip", *machine.points, *machine.targets])
@@ -86,45 +90,45 @@ def _corrected(a: argparse.Namespace, given: Any = None) -> tuple[Any, dict[str,
     if not payload.any():
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
-    return machine, answer, folded(lines)
+    return answer, folded(lines)
 
 
 def compensate(a: argparse.Namespace) -> None:
-    _, answer, text = _corrected(a)
-    say(a, answer, text)
+    compensator, warnings = _compensator(a)
+    answer, text = _corrected(a, compensator, _circumstances(a, compensator.calibration))
+    warn(a.calibration, warnings)
+    say(a, {**answer, "warnings": warnings}, text)
 
 
 def move(a: argparse.Namespace) -> None:
     from campaigns.plan import travel_time
     from campaigns.site import load_site, open_bench
-    from ppshw.calibration import load_calibration
 
-    machine, _, _ = _corrected(a)  # refuses before anything is switched on
+    compensator, warnings = _compensator(a)
+    machine, given = compensator.machine, _circumstances(a, compensator.calibration)
+    _corrected(a, compensator, given)  # refuses before anything is switched on
+    warn(a.calibration, warnings)
     site = load_site(a.site)
     if site.machine.sha256 != machine.sha256:
         there = f"'{site.machine.name}' ({site.machine.file})"
         raise BadInput(f"{a.site}: machine {there} stands there, the calibration is for {machine.file}")
     with open_bench(site) as bench, Bar() as bar:
-        calibration = load_calibration(a.calibration, machine)
-        felt = bench.temperatures() if calibration.effects else {}
+        felt = bench.temperatures() if compensator.calibration.effects else {}
         bench.start_axes(a.reset_faults)
         here = bench.axes.positions()
-        _, answer, text = _corrected(a, _found_there(a, calibration, site, here, felt))
+        answer, text = _corrected(a, compensator, _found_there(given, site, here, felt))
         there = answer["setpoints"]
         longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
         with bar.expect("move", longest / site.speed):
             report = bench.axes.move(there)
-    answer["reached"] = dict(report.positions)
+    answer |= {"warnings": warnings, "reached": dict(report.positions)}
     say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
 
 
-def _found_there(
-    a: argparse.Namespace, calibration: Any, site: Any, here: dict[str, float], felt: dict[str, float]
-) -> Any:
+def _found_there(given: Any, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
     """The circumstances as the site has them; what an option says goes before it."""
     from dataclasses import replace
 
-    given = _circumstances(a, calibration)
     approach = np.where(given.approach != 0, given.approach, final_approach(site))
     start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
     around = replace(given.around, temperatures={**felt, **given.around.temperatures})

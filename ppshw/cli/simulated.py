@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, say
+from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, put, say
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar
@@ -20,7 +20,7 @@ def simulate(a: argparse.Namespace) -> None:
     site = new_file(a.site_out, machine.file)
 
     def announce(path: Path) -> None:
-        print(json.dumps({"site": str(path)}), flush=True)
+        put(json.dumps({"site": str(path)}))
 
     ready = announce if a.json else None
     serve(machine.file, site, seed=a.seed, speed=a.speed, force_protocol=a.force_sensor, ready=ready)

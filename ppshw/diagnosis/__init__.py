@@ -31,7 +31,7 @@ from ppshw.diagnosis.serial import SerialNoise
 from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.errors import IdentificationFailed
+from ppshw.errors import RecordingError
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.plausible import without_copies
 from ppshw.identification.structure import joint_model
@@ -68,14 +68,14 @@ def diagnose(
 
     seed     of the random signs that the significance rests on
     without  effects that are taken out of the library (their cases must then be called unexplained)
-    Raises IdentificationFailed when the recording is too short to tell.
+    Raises RecordingError when the recording is too short to tell.
     """
     recording = without_copies(recording)
     rows = np.flatnonzero(recording.seen.any(axis=1))
     recording = recording.subset(rows)
     if len(recording) < LEAST_VISITS:
-        raise IdentificationFailed(
-            f"{recording.source}: {len(recording)} visits with a target, expected at least {LEAST_VISITS} to diagnose"
+        raise RecordingError(
+            f"{recording.source}: visits with a target: {len(recording)}, expected {LEAST_VISITS} or more to diagnose"
         )
     recording, mistakes = column_mistakes(machine, recording)
     tell = progress or (lambda done, total: None)

@@ -45,17 +45,19 @@ LOADED_N, LOADED_NM = 20.0, 5.0
 # for two signs to be told apart at all.
 ASKED, IN_A_ROW, REVERSED, SURE, TOLD = 400, 15, 1.04, 3.0, 1.01
 FARTHEST = 0.9  # share of the visits, the others counting as these
+TO, PLURAL = " … ", {"has": "have", "is": "are"}
 SIGN = {-1.0: "has the opposite sign"}
 LENGTHS = {**SIGN, 1e-3: "is in millimetres, expected metres", 1e3: "is in kilometres, expected metres"}
 ANGLES = {**SIGN, float(np.pi / 180): "is in degrees, expected radians"}
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
+TOO = " (the moments too, if they go with the forces)"  # where nobody asked, or the visits do not tell
 AXES = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """column times factor is what it should have been, None: columns are exchanged; misfit before and after the
-    correction [m], or shares of the wrench."""
+    """column times factor is what it should have been, None: columns are exchanged; what is wrong, said of one column;
+    misfit before and after the correction [m], or shares of the wrench."""
 
     column: str
     factor: float | None
@@ -66,17 +68,26 @@ class Mistake:
     def finding(self) -> dict[str, Any]:
         """In the contract's form (§4), under a name of its own."""
         factor = {} if self.factor is None else {"factor": {"value": self.factor, "std": 0.0, "unit": "1"}}
-        how = "they were taken the other way round" if self.factor is None else f"it was taken times {self.factor:g}"
+        taken = "they were taken" if self.several else "it was taken"
+        how = f"{taken} the other way round" if self.factor is None else f"{taken} times {self.factor:g}"
         return {
             "effect": "column_mistake", "joint": None, "frame": None, "component": None, "covariate": self.column,
             "region": None, "parameters": factor,
             "p_value": 0.0, "rms_mm": None, "weight": 1.0, "alternatives": [], "aliases": [],
-            "sentence": f"{self.subject} {self.what}; {how}.",
+            "sentence": f"{self.said}; {how}.",
         }  # fmt: skip
 
     @property
-    def subject(self) -> str:
-        return f"the column{'s' if self.factor is None else ''} {self.column}"
+    def said(self) -> str:
+        """What is wrong, of one column or of several."""
+        if not self.several:
+            return f"the column {self.column} {self.what}"
+        verb, what = self.what.split(" ", 1)
+        return f"the columns {self.column} {PLURAL[verb]} {what}"
+
+    @property
+    def several(self) -> bool:
+        return self.factor is None or TO in self.column
 
 
 def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
@@ -98,16 +109,17 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     if forces is None and given > REVERSED * other and sure:
         found.append(Mistake(_named(MOMENTS), -1.0, SIGN[-1.0], given, other))
         return _times(recording, MOMENTS, -1.0), found
-    if forces is not None and other < TOLD * given:  # a sensor mounted the other way round turns all six
-        what = forces.what + ("" if given > TOLD * other else " (its moments too, if they go with its forces)")
-        found[found.index(forces)] = replace(forces, column=_named(range(6)), what=what)
-        return _times(recording, MOMENTS, -1.0), found
-    return recording, found
+    if forces is None:
+        return recording, found
+    turned = other < TOLD * given  # a sensor mounted the other way round turns all six
+    what = SIGN[-1.0] + (TOO if turned and given <= TOLD * other else "")
+    found[found.index(forces)] = replace(forces, column=_named(range(6) if turned else FORCES), what=what)
+    return (_times(recording, MOMENTS, -1.0) if turned else recording), found
 
 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
-    """The same by what needs no fit: the sign of all moments together is not asked for. What leaves the recording none
-    of this machine's is no correction."""
+    """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
+    forces have the opposite one. What leaves the recording none of this machine's is no correction."""
     given, found = recording, list[Mistake]()
     for look in (_positions, _wrenches, _kilonewtons):
         for _ in range(3):
@@ -149,7 +161,7 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
                 points[:, t, a] *= factor
                 yield _tried(machine, replace(recording, points=points), f"{name}_{axis}", factor, what, before)
     for column, points in _exchanged(machine, recording):
-        yield _tried(machine, replace(recording, points=points), column, None, "are exchanged", before)
+        yield _tried(machine, replace(recording, points=points), column, None, "is exchanged", before)
 
 
 def _exchanged(machine: Machine, recording: Recording) -> Iterator[tuple[str, Array]]:
@@ -197,7 +209,8 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
     for columns in (FORCES, *((k,) for k in range(6))):
         changed = _times(recording, columns, -1.0)
         after = _unlike_a_payload(recording, changed.wrench, g)
-        yield Mistake(_named(columns), -1.0, SIGN[-1.0], before, after), changed
+        what = SIGN[-1.0] + (TOO if columns == FORCES and _loaded(recording, MOMENTS, LOADED_NM) else "")
+        yield Mistake(_named(columns), -1.0, what, before, after), changed
 
 
 def _kilonewtons(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
@@ -250,7 +263,7 @@ def _named(columns: Sequence[int]) -> str:
 
 
 def _from_to(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}"
+    return names[0] if len(names) == 1 else f"{names[0]}{TO}{names[-1]}"
 
 
 def _unlike_a_payload(recording: Recording, wrench: Array, g: Array) -> float:

@@ -22,6 +22,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import CHUNK, FIRST, LEAST_FIRST, LEAST_SHARE, Batch, Name, Tried
 from ppshw.diagnosis.library import Candidate
+from ppshw.quantities import called
 
 Array = NDArray[np.float64]
 # Nine draws of ten of a standard normal are above −1.28.
@@ -235,8 +236,7 @@ def alias_words(name: Name, aliases: Sequence[Alias]) -> str:
 
 
 def _listed(name: Name, aliases: Sequence[Alias]) -> str:
-    said = [a.name[0].replace("_", " ") + (f" of {a.name[1]}" if a.name[1] not in (None, name[1]) else "")
-            for a in aliases[:3]]  # fmt: skip
+    said = [called(a.name[0], None if a.name[1] == name[1] else a.name[1]) for a in aliases[:3]]
     return ", ".join(said) + ("" if len(aliases) <= 3 else f" or {len(aliases) - 3} more")
 
 

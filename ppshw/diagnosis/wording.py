@@ -18,6 +18,7 @@ from ppshw.diagnosis.parameters import courses, numbers_of, rocks
 from ppshw.diagnosis.visibility import TOLD_APART, alias_words, aliases_of
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.quantities import called
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 
@@ -59,7 +60,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
 def how_sure(said: Mapping[str, Any]) -> str:
     """For the terminal: the weight of a finding's name, the likeliest other, how surely there is something."""
     others = [
-        f", {k['effect'].replace('nameless', 'no name')}{' of ' + k['joint'] if k['joint'] else ''} {k['weight']:.2f}"
+        f", {called(k['effect'], k['joint'])} {k['weight']:.2f}"
         for k in said["alternatives"][:1] if k["weight"] >= WEIGHT_TOLD
     ]  # fmt: skip
     return f"[weight {said['weight']:.2f}{''.join(others)}; p {how_rare(said['p_value'])}]"

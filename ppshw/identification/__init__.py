@@ -9,7 +9,7 @@ import numpy as np
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, Progress, believable, estimate
 from ppshw.identification.paper import identify_paper
-from ppshw.identification.plausible import without_copies, without_gross_errors
+from ppshw.identification.plausible import without_gross_errors
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -24,7 +24,7 @@ def identify(
 ) -> Estimate:
     """Identify model (17) by one of METHODS. Raises IdentificationFailed when the recording does not allow it, and
     RecordingError when it can be none of this machine."""
-    kept, gross = without_gross_errors(machine, without_copies(recording))
+    kept, gross = without_gross_errors(machine, recording)
     try:
         found: Estimate = (
             identify_paper(machine, kept)

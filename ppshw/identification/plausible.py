@@ -66,10 +66,11 @@ def doubts(recording: Recording) -> list[str]:
             "rows copies?"
         )
     loads = sorted(set(recording.load) - {""})
-    if not recording.has_wrench and len(loads) > 1:
+    if len(loads) > 1 and (recording.wrench == recording.wrench[0]).all():
+        silent = "the columns Fx … Mz read the same at every visit" if recording.has_wrench else "no columns Fx … Mz"
         said.append(
-            f"no columns Fx … Mz, though loads change ({', '.join(loads[:3])}{' …' if len(loads) > 3 else ''}): what "
-            "they do to the machine cannot be told from its errors"
+            f"{silent}, though loads change ({', '.join(loads[:3])}{' …' if len(loads) > 3 else ''}): what they do to "
+            "the machine cannot be told from its errors"
         )
     return said
 

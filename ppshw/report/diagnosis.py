@@ -21,7 +21,7 @@ from ppshw.diagnosis.visibility import TOLD_APART
 from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
-from ppshw.quantities import value_of
+from ppshw.quantities import called, value_of
 from ppshw.report import residuals
 from ppshw.report.picture import Picture
 from ppshw.terms.shapes import Context, named_column
@@ -231,7 +231,7 @@ def _rows_of_unnamed(diagnosis: Diagnosis, candidate: Candidate) -> list[tuple[s
 
 def _whose(name: dict[str, Any]) -> str:
     """An effect and its joint, as a finding's alternatives and aliases are given."""
-    return f"{name['effect'].replace('_', ' ')}{' of ' + name['joint'] if name['joint'] else ''}"
+    return called(name["effect"], name["joint"])
 
 
 def _checks(checks: dict[str, list[dict[str, Any]]]) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:

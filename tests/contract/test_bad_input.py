@@ -259,26 +259,49 @@ def test_identify_warns_of_forces_that_lift_their_payload_and_goes_on(desk: Path
     times(-1.0, "Fx", "Fy", "Fz")(desk / "good.csv")
     said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
     assert said.code == 0
-    assert said.err == (f"warning: {desk / 'good.csv'}: the column Fx … Fz has the opposite sign; taken as it stands: "
-                        "set it right\n")  # fmt: skip
+    assert said.err == (f"warning: {desk / 'good.csv'}: the columns Fx … Fz have the opposite sign; taken as they stand: "
+                        "set them right\n")  # fmt: skip
+    said = ppshw("evaluate", desk / "good.csv", "--machine", desk / "machine.yaml", "--json")
+    assert said.code == 0
+    assert json.loads(said.out)["warnings"] == ["the columns Fx … Fz have the opposite sign (the moments too, if they go "
+                                                "with the forces); taken as they stand: set them right"]  # fmt: skip
+
+
+@pytest.mark.parametrize("columns", ["Fx Fy Fz Mx My Mz", "Mx My Mz"])
+def test_identify_names_the_moments_whose_sign_is_wrong(desk: Path, columns: str) -> None:
+    names = columns.split()
+    times(-1.0, *names)(desk / "good.csv")
+    said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json", "--json")
+    assert said.code == 0
+    assert json.loads(said.out)["warnings"] == [f"the columns {names[0]} … {names[-1]} have the opposite sign; taken as "
+                                                "they stand: set them right"]  # fmt: skip
 
 
 def test_a_recording_that_is_none_of_the_machine_s_is_told_which_columns_are_exchanged(desk: Path) -> None:
     header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
     header = header.replace("P1_", "?_").replace("P2_", "P1_").replace("?_", "P2_")
     (desk / "good.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
-    line = refused(desk, "identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
-    assert "(see: the columns P1 and P2 are exchanged)" in line
+    rec, given = desk / "good.csv", ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json"]
+    for words in (["identify", rec, *given[:2], "--out", desk / "new.json"], ["evaluate", rec, *given],
+                  ["twin", rec, *given, "--out", desk / "twin.csv"]):  # fmt: skip
+        assert "(see: the columns P1 and P2 are exchanged)" in refused(desk, *words)
 
 
 def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(desk: Path) -> None:
     header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
     (desk / "good.csv").write_text("\n".join([header, *(row for row in rows for _ in range(2))]), encoding="utf-8")
     common = [desk / "good.csv", "--machine", desk / "machine.yaml"]
-    said = ppshw("identify", *common, "--out", desk / "new.json")
+    said = ppshw("identify", *common, "--out", desk / "new.json", "--json")
     assert said.code == 0
+    judged = json.loads(ppshw("evaluate", *common, "--json").out)
+    used = json.loads(said.out)
+    assert (used["visits"], used["readings"]) == (judged["visits"], judged["readings"]) == (len(rows), 3 * len(rows))
     assert f"{len(rows)} visits read the same as an earlier one to the last digit (2, 4, 6" in said.err
-    for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+    wrench = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    times(0.0, *wrench)(desk / "good.csv")
+    said = ppshw("evaluate", *common, "--json")
+    assert "the columns Fx … Mz read the same at every visit, though loads change (" in said.err
+    for name in wrench:
         column(name, None)(desk / "good.csv")
     said = ppshw("evaluate", *common, "--json")
     assert "no columns Fx … Mz, though loads change (" in said.err
@@ -529,7 +552,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "a campaign that is neither file nor name": ("plan waltz --machine machine.yaml", "waltz"),
     "a pose of five": ("compensate CAL --pose 1 2 3 4 5", "--pose: '1 2 3 4 5' holds 5 values, expected 6 finite numbers"),
     "a pose in words": ("compensate CAL --pose here", "--pose: 'here' holds something that is no number, expected 6"),
-    "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "expected 6 finite numbers"),
+    "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "--pose: value 6 of 6, nan, is no finite number below 1e+09"),
     "a wrench of two": ("compensate CAL --joints 0 0 --wrench 1 2", "--wrench: '1 2' holds 2 values, expected 6"),
     "three joints of two": ("compensate CAL --joints 0,0,0", "--joints: '0,0,0' holds 3 values, expected 2"),
     "near three of two": ("compensate CAL --pose 0 0 0 0 0 0 --near 1 2 3", "--near: '1 2 3' holds 3 values, expected 2"),

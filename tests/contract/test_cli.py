@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import errno
 import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +25,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.recording import Table, load_recording, read_table
 from ppshw.recording_file import RecordingFile, only_writer
+from ppshw.whole_file import written_whole
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 from tests.contract.desk import MACHINE, ROOT, Said, contents, ppshw, refused
@@ -61,6 +65,18 @@ def test_help_fits_a_terminal_and_says_values_as_they_are_given(command: str, mo
     text = ppshw(command, "--help").out
     assert max(map(len, text.splitlines())) <= 80
     assert not re.search(r"\[[^\[\]]*\.\.\.\]", text)
+
+
+def test_report_s_help_and_the_readme_name_every_file_that_it_reads() -> None:
+    from ppshw.report import contents as c
+
+    said = ppshw("report", "--help").out
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    row = next(line for line in readme.splitlines() if "`ppshw report`" in line)
+    for name in (c.MACHINE, c.CALIBRATION, c.RESULT, c.CONCEALED, c.EXTENDED, c.DIAGNOSIS,
+                 *(f"{stem}.db" for stem in c.RECORDINGS)):  # fmt: skip
+        assert name in said
+        assert f"`{name}`" in row
 
 
 def test_help_lists_every_command_and_the_version_is_the_package_s() -> None:
@@ -299,6 +315,13 @@ def test_what_two_joints_cannot_put_right_is_said(tmp_path: Path) -> None:
     assert re.search(r"the nearest joint values miss it by \S+ mm and 300 mrad$", line.strip())
 
 
+def test_the_age_of_a_load_that_nothing_goes_with_is_warned_of(compensate: list[str | Path]) -> None:
+    said = ppshw(*compensate, "--joints", "0.1 0.2 0.5 0 0 0", "--loaded-for", "7200", "--json")
+    warning = "--loaded-for: no effect here goes with the age of a load, it changes nothing"
+    assert (said.code, said.err) == (0, f"warning: {compensate[4]}: {warning}\n")
+    assert json.loads(said.out)["warnings"] == [warning]
+
+
 def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | Path]) -> None:
     assert "joint 'yaw' at 2 rad is outside" in refused(tmp_path, *compensate, "--joints", "0 0 0.5 2 0 0")
     assert re.search(r"the pose needs joint '\w+' \S+ (m|rad) beyond its limits",
@@ -359,6 +382,47 @@ def test_whoever_reads_may_stop_reading(desk: Path) -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.startswith("paper on pps: 669 visits")
     assert done.stderr == ""
+
+
+def test_an_answer_that_nobody_wants_is_no_failure(desk: Path) -> None:
+    command = f"'{PROGRAM}' evaluate good.csv --machine machine.yaml >&-"
+    done = subprocess.run(["bash", "-c", command], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_standard_output_that_is_full_is_called_so(desk: Path) -> None:
+    command = f"'{PROGRAM}' evaluate good.csv --machine machine.yaml >/dev/full"
+    done = subprocess.run(["bash", "-c", command], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (1, "ppshw: standard output: No space left on device\n")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody can write to")
+@pytest.mark.parametrize("words", [["export", "good.db"], ["import", "good.csv", "--machine", "machine.yaml", "--out"]])
+def test_a_file_that_cannot_be_written_is_named_as_it_was_asked_for(desk: Path, words: list[str]) -> None:
+    words = [str(PROGRAM), *words, "/proc/new"]
+    said = subprocess.run(words, cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (said.returncode, said.stderr) == (2, "ppshw: /proc/new: No such file or directory\n")
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No space left") as caught, written_whole(tmp_path / "new.csv"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert caught.value.filename == str(tmp_path / "new.csv")
+
+
+def test_ctrl_c_ends_a_simulation_that_a_script_started_beside_itself(desk: Path) -> None:
+    """A shell without job control has what it starts with & ignore Ctrl-C."""
+    command = f"'{PROGRAM}' simulate --machine machine.yaml --site-out sim.yaml --json & wait"
+    with subprocess.Popen(["bash", "-c", command], cwd=desk, stdout=subprocess.PIPE, start_new_session=True) as shell:
+        assert shell.stdout is not None
+        assert shell.stdout.readline()
+        os.killpg(shell.pid, signal.SIGINT)
+        try:
+            assert shell.communicate(timeout=20)[0] == b""  # which waits for the last that holds the pipe
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(shell.pid, signal.SIGKILL)
 
 
 def test_an_answer_leaves_no_other_file_than_the_one_asked_for(desk: Path) -> None:

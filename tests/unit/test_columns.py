@@ -61,6 +61,9 @@ def test_all_reflectors_in_millimetres(case: tuple[Machine, Recording]) -> None:
     mended, found = column_mistakes(machine, replace(recording, points=1000.0 * recording.points))
     names = recording.target_names
     assert [(m.column, m.factor) for m in found] == [(f"{names[0]}_x … {names[-1]}_z", 1e-3)]
+    assert found[0].finding()["sentence"] == (
+        f"the columns {names[0]}_x … {names[-1]}_z are in millimetres, expected metres; they were taken times 0.001."
+    )
     assert np.allclose(mended.points, recording.points, equal_nan=True)
 
 
@@ -71,6 +74,7 @@ def test_forces_or_moments_alone_with_the_opposite_sign(case: tuple[Machine, Rec
     wrench[:, columns] *= -1
     mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
     assert [(m.column, m.factor) for m in found] == [("Fx … Fz" if columns[0] == 0 else "Mx … Mz", -1.0)]
+    assert found[0].said == f"the columns {found[0].column} have the opposite sign"
     assert np.array_equal(mended.wrench, recording.wrench)
 
 
@@ -85,7 +89,9 @@ def test_forces_in_kilonewtons_beside_newton_metres(case: tuple[Machine, Recordi
 def test_without_a_fit_the_moments_sign_is_not_asked(case: tuple[Machine, Recording]) -> None:
     machine, recording = case
     _, found = plain_mistakes(machine, replace(recording, wrench=-recording.wrench))
-    assert [m.column for m in found] == ["Fx … Fz"]
+    assert [m.said for m in found] == [
+        "the columns Fx … Fz have the opposite sign (the moments too, if they go with the forces)"
+    ]
 
 
 def test_one_moment_with_the_opposite_sign(case: tuple[Machine, Recording]) -> None:

@@ -142,6 +142,6 @@ def test_too_few_visits_are_refused_with_their_number(
 ) -> None:
     case.rows = case.rows[:40]
     where = written(case, tmp_path)
-    assert main(["diagnose", *where, "--json", str(tmp_path / "answer.json")]) != 0
-    assert "39 visits with a target, expected at least 40" in capsys.readouterr().err
+    assert main(["diagnose", *where, "--json", str(tmp_path / "answer.json")]) == 2
+    assert "visits with a target: 39, expected 40 or more" in capsys.readouterr().err
     assert not (tmp_path / "answer.json").exists()

@@ -6,8 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from campaigns.script import RandomStep, SweepStep, load_script, script_path, shipped_scripts
+from campaigns.plan import plan_campaign
+from campaigns.script import ON_ANY_MACHINE, RandomStep, SweepStep, load_script, script_path, shipped_scripts
 from ppshw.errors import CampaignError
+from ppshw.machine import load_machine
+from tests.contract.desk import MACHINE
 
 GOOD = """\
 name: trial
@@ -73,6 +76,19 @@ def test_random_loads_are_the_same_every_time_and_lie_in_their_ranges(tmp_path: 
     for load in first[:12]:
         assert 20 <= load.mass <= 200
         assert 0.5 <= load.com[2] <= 0.6
+
+
+def test_a_script_for_the_positioner_says_on_another_machine_which_go_with_any(tmp_path: Path) -> None:
+    text = MACHINE.replace("P1", "A").replace("P2", "B").replace("P3", "C")
+    (tmp_path / "machine.yaml").write_text(text, encoding="utf-8")
+    machine = load_machine(tmp_path / "machine.yaml")
+    for name in shipped_scripts():
+        if name in ON_ANY_MACHINE:
+            plan_campaign(load_script(name), machine)
+            continue
+        which = r"no (target 'P1'|joint 'lateral') .* diagnosis and quick go with any machine"
+        with pytest.raises(CampaignError, match=which):
+            plan_campaign(load_script(name), machine)
 
 
 def test_every_shipped_script_can_be_called_by_its_name() -> None:

@@ -54,6 +54,8 @@ def test_history_is_said_in_the_columns_of_the_recording() -> None:
 def test_on_the_terminal_a_name_that_is_likely_too_is_told() -> None:
     said = {"weight": 0.57, "p_value": 1e-9, "alternatives": [{"effect": "backlash", "joint": "pitch", "weight": 0.4}]}
     assert how_sure(said) == "[weight 0.57, backlash of pitch 0.40; p 1e-09]"
+    said["alternatives"] = [{"effect": "thermal_growth", "joint": "pitch", "weight": 0.4}]
+    assert how_sure(said) == "[weight 0.57, thermal growth of pitch 0.40; p 1e-09]"
     said["alternatives"] = [{"effect": "nameless", "joint": None, "weight": 0.05}]
     assert how_sure(said) == "[weight 0.57; p 1e-09]"
     said["alternatives"] = [{"effect": "nameless", "joint": None, "weight": 0.15}]
