@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
+from ppshw.quantities import called
 from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
@@ -58,8 +59,7 @@ class Verdict:
         return "compensated" if self.taken_out else "not compensated"
 
     def sentence(self) -> str:
-        where = f" of {self.effect.joint}" if self.effect.joint else ""
-        return f"{self.effect.name}{where}{': ' if self.why else ''}{self.why}"
+        return f"{called(self.effect.name, self.effect.joint)}{': ' if self.why else ''}{self.why}"
 
     def as_dict(self) -> dict[str, str | None]:
         return {"effect": self.effect.name, "joint": self.effect.joint, "why": self.why or None}
