@@ -225,7 +225,7 @@ class _Run:
         shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
         reading = None if bench.force_sensor is None else bench.force_sensor.read()
         temperatures = bench.temperatures()
-        bench.axes.raise_if_faulty()  # an axis that fell over during the measurement spoils it
+        bench.axes.require_at_rest(q)  # an axis that fell over during the measurement, or was pushed, spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
         cells |= _joint_cells(self._joints, commanded, q, report)
         for shot in shots:

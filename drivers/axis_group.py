@@ -18,7 +18,16 @@ from drivers.cia402 import Cia402Axis
 from drivers.cia402_objects import CHANGE_AT_ONCE, ENABLE, NEW_SET_POINT, PROFILE_POSITION, Snapshot, State
 from drivers.homing import home
 from drivers.ports import Clock, DeviceInfo, MoveReport
-from ppshw.errors import BadInput, BusLost, DriveFault, HardwareError, HardwareTimeout, SiteError, Stopped
+from ppshw.errors import (
+    BadInput,
+    BusLost,
+    DriveFault,
+    FollowingError,
+    HardwareError,
+    HardwareTimeout,
+    SiteError,
+    Stopped,
+)
 
 log = logging.getLogger(__name__)
 
@@ -230,6 +239,15 @@ class Cia402Group:
             if isinstance(error, Stopped):
                 self._raise_trouble()  # the reason, where an emergency stopped all before the look
             raise
+
+    def require_at_rest(self, at: Mapping[str, float]) -> None:
+        self.raise_if_faulty()
+        for axis in self._axes.values():
+            now, before, config = self._position(axis), at[axis.name], axis.config
+            if abs(now - before) > config.window + 0.5 / config.counts_per_unit:
+                self.quick_stop()
+                moved = f"moved from {before:.6g} to {now:.6g} {config.unit} while it should stand"
+                raise FollowingError(axis.name, f"{moved} (window {config.window:g} {config.unit})")
 
     def _raise_trouble(self) -> None:
         self._bus.check()

@@ -112,8 +112,8 @@ class SimulatedDrive(CanopenNode):
         with self.lock:
             self._enter_fault(code)
 
-    def lose_torque(self) -> None:
-        """Safe torque off: no longer enabled, and not a word about it."""
+    def lose_power(self) -> None:
+        """Power stage off (safe torque off): no longer enabled, and not a word about it."""
         with self.lock:
             self._switch(Power.SWITCH_ON_DISABLED)
 

@@ -36,6 +36,7 @@ class Fault:
 Action = Callable[[Any, Any], None]
 _DRIVE: dict[str, Action] = {
     "trip": lambda drive, code: drive.trip(LOST_SUPPLY if code is None else int(code)),
+    "lose_power": lambda drive, _: drive.lose_power(),
     "stick": lambda drive, _: drive.stick(),
     "go_silent": lambda drive, _: drive.go_silent(),
     "unplug": lambda drive, _: drive.unplug(),

@@ -6,11 +6,15 @@ run that is taken up again completes: every visit once, in order.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from drivers.geocom import GeoComTracker
+from drivers.ports import Shot
 from ppshw.errors import (
     BeamLost,
     BusLost,
@@ -82,6 +86,27 @@ def test_a_fault_in_the_middle_of_a_motion_stops_every_axis_short_of_its_target(
     there = rig.hardware.joint_values()[0]
     assert abs(there) > 0.05  # it had left home
     assert abs(there - first) > 0.05  # and never arrived
+
+
+@pytest.mark.parametrize("shot", [15, 17])  # three a visit: the first and the last one of visit 5
+def test_an_axis_that_loses_its_power_while_the_tracker_measures_spoils_the_visit(
+    rig: Rig, shot: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure, shots = GeoComTracker.measure, itertools.count()
+
+    def lose_power_meanwhile(tracker: GeoComTracker, target: str, expected: NDArray[np.float64]) -> Shot:
+        if next(shots) == shot:
+            rig.hardware.drive("vertical").lose_power()
+        return measure(tracker, target, expected)
+
+    monkeypatch.setattr(GeoComTracker, "measure", lose_power_meanwhile)
+    with pytest.raises(DriveFault, match="vertical: is SWITCH ON DISABLED"):
+        rig.run()
+    assert_stopped(rig)
+    with RecordingFile.open(rig.out) as file:
+        assert file.done() == {0, 1, 2, 3, 4}
+    result = rig.run()
+    assert (result.measured, result.done) == (7, 12)
 
 
 def assert_stopped(rig: Rig) -> None:

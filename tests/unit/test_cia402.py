@@ -213,11 +213,21 @@ def test_a_drive_that_trips_at_rest_is_found_and_stops_the_others(machine: Machi
 
 def test_a_drive_that_loses_its_power_without_a_word_is_found_by_a_look(machine: Machine) -> None:
     """As by a safe torque off: no emergency, no silence."""
-    machine.drive("lift").lose_torque()
+    machine.drive("lift").lose_power()
     with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED, not OPERATION ENABLED"):
         machine.group.raise_if_faulty()
     machine.clock.sleep(0.1)
     assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
+def test_an_axis_that_was_pushed_off_its_place_does_not_rest(machine: Machine) -> None:
+    stood = machine.group.positions()
+    machine.drive("slew").lie_about(0x6064, 2)  # 2 counts / 50 000 counts/rad = 40 µrad, inside the window of 50
+    machine.group.require_at_rest(stood)
+    machine.drive("slew").lie_about(0x6064, -50)
+    with pytest.raises(FollowingError, match=r"slew: moved from 0\.5 to 0\.499 rad while it should stand"):
+        machine.group.require_at_rest(stood)
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
 
 
 def test_motors_keep_their_power_until_the_quick_stop_has_brought_them_to_rest(machine: Machine) -> None:
@@ -663,7 +673,7 @@ def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callabl
 
 def test_while_one_axis_homes_the_others_are_to_stay_enabled(build: Callable[..., Machine]) -> None:
     m = build(HOMED, LIFT, absolute=False, start=70_000, home_at=20_000)
-    m.after(1.0, m.drive("lift").lose_torque)
+    m.after(1.0, m.drive("lift").lose_power)
     with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED"):
         m.group.start()
 
