@@ -65,8 +65,8 @@ def test_a_recording_too_short_to_tell_is_refused(tmp_path: Path, capsys: pytest
     case = tmp_path / "case"
     make_case(5, "pps", "null", 1.0, case, tmp_path / "sealed", visits=40, fit=30)
     given = [str(case / "recording.csv"), "--machine", str(case / "machine.yaml")]
-    assert main(["diagnose", *given, "--json", str(tmp_path / "a.json")]) == 1
+    assert main(["diagnose", *given, "--json", str(tmp_path / "a.json")]) == 2
     error = capsys.readouterr().err
-    assert "30 visits" in error
+    assert "visits with a target: 30, expected 40 or more" in error
     assert error.count("\n") == 1
     assert not (tmp_path / "a.json").exists()
