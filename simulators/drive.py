@@ -26,6 +26,7 @@ from simulators.canopen_node import CanopenNode, SimClock
 EDS = Path(__file__).with_name("drive.eds")
 PROFILE_POSITION, HOMING = 1, 6
 FOLLOWING_ERROR = 0x8611
+COASTING = 0.1  # without power a motor only has friction: so much of a quick stop's deceleration (a guess)
 
 
 class Power(enum.Enum):
@@ -236,7 +237,10 @@ class SimulatedDrive(CanopenNode):
             self._switch(Power.READY_TO_SWITCH_ON)
 
     def _switch(self, to: Power) -> None:
-        if self._power is Power.OPERATION_ENABLED and to is not Power.OPERATION_ENABLED:
+        powered = self._power in (Power.OPERATION_ENABLED, Power.QUICK_STOP_ACTIVE)
+        if powered and to in (Power.SWITCH_ON_DISABLED, Power.READY_TO_SWITCH_ON):
+            self._brake(COASTING)
+        elif self._power is Power.OPERATION_ENABLED and to is not Power.OPERATION_ENABLED:
             self._brake()
         if to is Power.OPERATION_ENABLED and self._power is not to:
             self._start_motion(motion.at_rest(self.motor_position(), self.clock.now()))
@@ -296,10 +300,12 @@ class SimulatedDrive(CanopenNode):
             motion.move(now, position, target, max(1.0, velocity), max(1.0, acceleration), braking, speed)
         )
 
-    def _brake(self) -> None:
+    def _brake(self, share: float = 1.0) -> None:
+        """As hard as a quick stop does, or a share of it."""
         now = self.clock.now()
         position, speed = self._motions[-1].at(now)
-        self._start_motion(motion.stop(now, position, speed, max(1.0, float(self.value(0x6085, default=100_000)))))
+        deceleration = share * float(self.value(0x6085, default=100_000))
+        self._start_motion(motion.stop(now, position, speed, max(1.0, deceleration)))
 
     def tick(self) -> None:
         now = self.clock.now()

@@ -390,6 +390,50 @@ def test_after_a_quick_stop_nothing_moves_until_the_group_is_started_again(machi
     assert round(machine.drive("slide").motor_position()) == 10_000
 
 
+def test_a_motor_without_power_coasts(machine: Machine) -> None:
+    """The trap that waiting for the end of the ramp avoids; here to show that the simulated drive has it."""
+    machine.after(3.0, machine.drive("slide").lose_power)
+    with pytest.raises(DriveFault, match="slide: is SWITCH ON DISABLED"):
+        machine.group.move({"slide": 1.0})
+    machine.clock.sleep(5.0)
+    # 0.25 m after 3 s, then 0.1 m/s braked at a tenth of 1 m/s²: 0.05 m
+    assert machine.drive("slide").motor_position() / 1e5 == pytest.approx(0.30, abs=5e-3)
+
+
+@pytest.mark.parametrize("afterwards", [2, 6])  # 0x605A: power off after the ramp, or stay in QUICK STOP ACTIVE
+def test_closing_leaves_the_power_on_until_the_axes_have_braked(
+    build: Callable[..., Machine], afterwards: int
+) -> None:
+    m = build(replace(SLIDE, parameters={(0x605A, 0): afterwards, (0x6085, 0): 20_000}), LIFT)
+    m.group.start()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    m.after(2.0, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        m.group.move({"slide": 1.0, "lift": 1.0})
+    began, from_where = m.clock.now(), m.drive("slide").motor_position()
+    m.group.close()
+    assert m.drive("slide").power is Power.SWITCH_ON_DISABLED
+    assert m.clock.now() - began < 1.0
+    m.clock.sleep(60.0)
+    # 0.1 m/s braked at 0.2 m/s² is 0.025 m; coasting would be ten times that
+    assert (m.drive("slide").motor_position() - from_where) / 1e5 == pytest.approx(0.025, abs=3e-3)
+
+
+def test_closing_does_not_wait_for_ever_for_a_drive_that_goes_on_braking(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLIDE, parameters={(0x6085, 0): 100}), LIFT)  # 0.001 m/s²: 100 s from 0.1 m/s
+    m.group.start()
+    m.after(2.0, m.group.quick_stop)
+    with pytest.raises((DriveFault, Stopped)):
+        m.group.move({"slide": 1.0})
+    began = m.clock.now()
+    m.group.close()
+    assert 4.0 < m.clock.now() - began < 6.0
+    assert m.drive("slide").power is Power.SWITCH_ON_DISABLED
+
+
 def test_a_quick_stop_never_raises_not_even_on_a_dead_bus(machine: Machine) -> None:
     machine.rack.close()
     machine.group.quick_stop()
