@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
+import canopen
 import pytest
 
 from drivers.axis_config import AxisConfig
@@ -72,6 +73,22 @@ def test_a_move_ends_on_its_setpoints(machine: Machine) -> None:
     assert [round(p) for p in machine.rack.motor_positions().values()] == [30_000, -20_000, 5_000]
     assert report.positions == pytest.approx({"axis 1": 0.3, "axis 2": -0.2, "axis 3": 0.05}, abs=1e-5)
     assert len({tuple(drive.starts) for drive in machine.rack.drives.values()}) == 1
+
+
+def test_a_bus_that_cannot_be_left_in_order_is_closed_all_the_same(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine.group.start()
+    disconnect = canopen.Network.disconnect
+
+    def fails(network: canopen.Network) -> None:
+        disconnect(network)
+        raise AttributeError("an adapter's own mistake")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(canopen.Network, "disconnect", fails)
+        machine.group.close()
+    assert machine.rack.drives[1].power is Power.SWITCH_ON_DISABLED
 
 
 def test_check_finds_every_drive(machine: Machine) -> None:

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
 from drivers.canopen_bus import BusConfig, CanBus, Entry
+from drivers.cia402 import Cia402Axis
 from drivers.cia402_objects import State, decode_state
 from drivers.emcy import meaning
 from ppshw.errors import (
@@ -228,23 +229,6 @@ def test_an_axis_that_was_pushed_off_its_place_does_not_rest(machine: Machine) -
     with pytest.raises(FollowingError, match=r"slew: moved from 0\.5 to 0\.499 rad while it should stand"):
         machine.group.require_at_rest(stood)
     assert machine.drive("slide").power is not Power.OPERATION_ENABLED
-
-
-def test_motors_keep_their_power_until_the_quick_stop_has_brought_them_to_rest(machine: Machine) -> None:
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    slide = machine.drive("slide")
-    machine.after(2.0, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        machine.group.move({"slide": 1.0})
-    assert slide.power is Power.QUICK_STOP_ACTIVE
-    here = slide.motor_position()
-    machine.group.close()
-    rest = slide.motor_position()
-    assert rest > here + 100  # it went on along its ramp
-    machine.clock.sleep(1.0)
-    assert slide.motor_position() == pytest.approx(rest, abs=5)  # and stood when its power went
 
 
 def test_a_trip_stops_the_others_at_once_not_only_when_the_program_looks(machine: Machine) -> None:
@@ -615,6 +599,21 @@ def test_the_watch_over_the_hosts_heartbeat_ends_with_the_program(build: Callabl
     assert m.drive("lift").power is Power.SWITCH_ON_DISABLED
 
 
+def test_the_watch_ends_also_where_a_drive_refuses_to_be_disabled(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m = build(SLIDE, LIFT)
+    m.group = watched(m)
+    m.group.start()
+
+    def refuse(axis: Cia402Axis) -> None:
+        raise HardwareTimeout(axis.name, "no SDO answer")
+
+    monkeypatch.setattr(Cia402Axis, "disable", refuse)
+    m.group.close()
+    assert [drive.value(0x1016, 1) for drive in m.drives] == [0, 0]
+
+
 def test_a_start_that_fails_half_way_leaves_no_watch_behind(build: Callable[..., Machine]) -> None:
     m = build(SLIDE, LIFT)
     m.group = watched(m)
@@ -715,13 +714,6 @@ def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callabl
     assert round(m.drive("slide").motor_position()) == 70_000  # home + 0.5 m
 
 
-def test_while_one_axis_homes_the_others_are_to_stay_enabled(build: Callable[..., Machine]) -> None:
-    m = build(HOMED, LIFT, absolute=False, start=70_000, home_at=20_000)
-    m.after(1.0, m.drive("lift").lose_power)
-    with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED"):
-        m.group.start()
-
-
 def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:
     m = build(HOMED, home_at=20_000)
     m.group.start()
@@ -765,6 +757,22 @@ def test_an_axis_that_trips_while_another_one_homes_is_named(build: Callable[...
         m.group.start()
     assert m.drive("slide").motor_position() < FAR_HOME / 2
     assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_an_axis_that_loses_its_power_while_another_one_homes_stops_the_homing(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, LIFT, home_at=FAR_HOME)
+    m.after(2.0, m.drive("lift").lose_power)
+    with pytest.raises(DriveFault, match="lift: is SWITCH ON DISABLED, not OPERATION ENABLED"):
+        m.group.start()
+    assert m.drive("slide").motor_position() < FAR_HOME / 2
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_an_axis_that_loses_its_power_while_it_homes_is_said_to_have_left_homing(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, LIFT, home_at=FAR_HOME)
+    m.after(2.0, m.drive("slide").lose_power)
+    with pytest.raises(DriveFault, match="slide: left homing: SWITCH ON DISABLED"):
+        m.group.start()
 
 
 def test_an_axis_that_falls_silent_while_another_one_homes_stops_the_homing(build: Callable[..., Machine]) -> None:

@@ -114,7 +114,7 @@ class FakeTracker:
         self.lost: set[str] = set()
         self.shots, self.lost_from = 0, math.inf
         self.closed = False
-        self.close_error: HardwareError | None = None
+        self.close_error: Exception | None = None
 
     def check(self) -> DeviceInfo:
         return DeviceInfo("tracker", "fake", "1", "1", "ready")
@@ -527,9 +527,10 @@ def test_progress_counts_visits_and_the_seconds_left(situation: Situation) -> No
     assert heard[0].seconds_left == pytest.approx(sum(situation.plan.durations[1:]))
 
 
-def test_closing_goes_through_every_device_even_when_one_fails(situation: Situation) -> None:
-    situation.tracker.close_error = HardwareError("tracker", "port is gone")
-    with pytest.raises(HardwareError, match="port is gone"):
+@pytest.mark.parametrize("problem", [HardwareError("tracker", "port is gone"), RuntimeError("port is gone")])
+def test_closing_goes_through_every_device_even_when_one_fails(situation: Situation, problem: Exception) -> None:
+    situation.tracker.close_error = problem
+    with pytest.raises(type(problem), match="port is gone"):
         situation.run()
     assert situation.sensor.closed
     assert situation.axes.closed
