@@ -165,17 +165,16 @@ class _Run:
         return self._bench.clock.utc().isoformat(timespec="milliseconds")
 
     def _all_done(self, file: RecordingFile) -> bool:
-        return len(file.done() | _skipped(file)) >= len(self._plan.visits)
+        return len((file.done() - _to_redo(file)) | _skipped(file)) >= len(self._plan.visits)
 
     def _result(self, file: RecordingFile) -> RunResult:
         return RunResult(self._out, self._measured, len(file.done()), len(_skipped(file)), self._lost)
 
     # --- the loop ------------------------------------------------------------------------------------------
     def _visits(self, file: RecordingFile) -> RunResult:
-        finished = file.done() | _skipped(file)
+        finished = (file.done() - _to_redo(file)) | _skipped(file)
         todo = [visit for visit in self._plan.visits if visit.index not in finished]
         last: Visit | None = None
-        again: Visit | None = None
         seconds_left = self._plan.seconds_left(finished)
         try:
             while todo:
@@ -186,12 +185,12 @@ class _Run:
                 if command is Command.REDO:
                     assert last is not None
                     todo.insert(0, last)  # what was measured stays until it has been measured again
-                    again, last = last, None
+                    last = None
                     seconds_left += self._plan.durations[todo[0].index]
                     continue
                 if command is not Command.SKIP:
                     self._change_load(file, visit)
-                    self._visit(file, visit, again)
+                    self._visit(file, visit)
                     last = visit
                     self._measured += 1
                 todo.pop(0)
@@ -210,7 +209,7 @@ class _Run:
         self._log(file, "end", f"{len(file.done())} of {len(self._plan.visits)} visits measured")
         return self._result(file)
 
-    def _visit(self, file: RecordingFile, visit: Visit, again: Visit | None) -> None:
+    def _visit(self, file: RecordingFile, visit: Visit) -> None:
         bench = self._bench
         wanted = np.array(visit.setpoints)
         if visit.via is not None:  # before the correction, which may depend on where the machine comes from
@@ -238,7 +237,7 @@ class _Run:
         raw = [(s.target, _raw(s)) for s in shots]
         if reading is not None:
             raw.append(("wrench", _raw_wrench(reading)))
-        file.append(cells, plan_index=visit.index, shots=raw, again=visit is again)
+        file.append(cells, plan_index=visit.index, shots=raw, again=visit.index in file.done())
 
     def _corrected(self, visit: Visit, wanted: Array) -> Array:
         if self._map is None:
@@ -331,6 +330,7 @@ class _Run:
         if command is Command.ABORT:
             raise Stopped(f"stopped by the operator before visit {visit.index + 1} of {len(self._plan.visits)}")
         if command is Command.SKIP:
+            file.drop_visit(visit.index)  # what was to be measured again, and is left out instead
             self._log(file, "skip", f"visit {visit.index} left out by the operator", {"visit": visit.index})
             return command
         if command is Command.REDO and last is not None:
@@ -412,6 +412,13 @@ def _refuse_another_run(file: RecordingFile, wanted: Mapping[str, str]) -> None:
                 f"{file.path}: was begun with another {name} ({was}, now {wanted[key][:12]}); "
                 "choose a new file, or go on with what it was begun with"
             )
+
+
+def _to_redo(file: RecordingFile) -> set[int]:
+    """Plan indices of visits that somebody wanted measured again, and that were not, since."""
+    measured = file.measured_at()
+    asked = [(int(data["visit"]), time) for time, kind, _, data in file.events() if kind == "redo"]
+    return {visit for visit, time in asked if measured.get(visit, time) < time}
 
 
 def _skipped(file: RecordingFile) -> set[int]:

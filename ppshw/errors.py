@@ -78,7 +78,8 @@ class IdentificationFailed(PpshwError):
 
 
 class RunFailed(PpshwError):
-    """What would have been bad input before the run shows in the middle of it, when visits are in the recording."""
+    """What would have been bad input before the run shows in the middle of it, when visits are in the recording; or the
+    recording takes no more (a full disk)."""
 
 
 class Stopped(PpshwError):

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from ppshw.errors import RecordingError
+from ppshw.errors import RecordingError, RunFailed
 from ppshw.whole_file import written_whole
 
 FORMAT = "ppshw recording 1"
@@ -154,7 +154,7 @@ class RecordingFile:
         """Commit one visit with its raw shots; returns its number. Columns not given stay empty.
 
         again  in place of the visit of that plan index that is there (the operator's redo)
-        Raises RecordingError where it cannot be written, as a second visit of a plan index.
+        Raises RunFailed where it cannot be written, as a second visit of a plan index.
         """
         header = self.columns()
         unknown = set(cells) - set(header)
@@ -164,9 +164,7 @@ class RecordingFile:
         marks = ", ".join("?" * (len(header) + 1))
         with self._writing():
             if again:
-                mine = "SELECT visit FROM visits WHERE plan_index = ?"
-                self._db.execute(f"DELETE FROM shots WHERE visit IN ({mine})", [plan_index])
-                self._db.execute("DELETE FROM visits WHERE plan_index = ?", [plan_index])
+                self._forget(plan_index)
             cursor = self._db.execute(
                 f"INSERT INTO visits (plan_index, {names}) VALUES ({marks})",
                 [plan_index, *(cells.get(c, "") for c in header)],
@@ -184,13 +182,29 @@ class RecordingFile:
         with self._writing():
             self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
 
+    def drop_visit(self, plan_index: int) -> None:
+        """Leave out what was measured at a place of the plan, if anything was."""
+        with self._writing():
+            self._forget(plan_index)
+
+    def _forget(self, plan_index: int | None) -> None:
+        mine = "SELECT visit FROM visits WHERE plan_index = ?"
+        self._db.execute(f"DELETE FROM shots WHERE visit IN ({mine})", [plan_index])
+        self._db.execute("DELETE FROM visits WHERE plan_index = ?", [plan_index])
+
+    def measured_at(self) -> dict[int, str]:
+        """Plan index → when it was measured, as the visit's `time` says it; none where the recording has no times."""
+        if "time" not in self.columns():
+            return {}
+        return dict(self._db.execute("SELECT plan_index, time FROM visits WHERE plan_index IS NOT NULL"))
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
         try:
             with _transaction(self._db):
                 yield
         except sqlite3.Error as exc:
-            raise RecordingError(f"{self.path}: cannot be written ({exc}); what was in it before is there") from None
+            raise RunFailed(f"{self.path}: cannot be written ({exc}); what was in it before is there") from None
 
     def done(self) -> set[int]:
         """Plan indices that are measured."""

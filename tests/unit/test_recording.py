@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ppshw.errors import RecordingError
+from ppshw.errors import RecordingError, RunFailed
 from ppshw.machine import load_machine
 from ppshw.recording import Recording, columns_for, load_recording, read_table
 from ppshw.recording_file import RecordingFile
@@ -97,7 +97,7 @@ def test_a_visit_is_committed_with_its_shots_or_not_at_all(tmp_path: Path) -> No
         assert file.append({"load": "box", "q": "0.5"}, 7, [("P1", {"ppm": 2.5}), ("P2", {})]) == 1
         with pytest.raises(RecordingError, match="has no column z"):
             file.append({"z": "1"}, 8)
-        with pytest.raises(RecordingError, match=r"r\.db: cannot be written .*UNIQUE"):  # a place is measured once
+        with pytest.raises(RunFailed, match=r"r\.db: cannot be written .*UNIQUE"):  # a place is measured once
             file.append({"q": "0.6"}, 7, [("P1", {})])
         assert file.table() == (("load", "q"), (("box", "0.5"),))
         assert file.shots(1) == [("P1", {"ppm": 2.5}), ("P2", {})]
@@ -110,7 +110,7 @@ def test_a_full_disk_is_named_and_costs_nothing_that_was_there(tmp_path: Path) -
     with RecordingFile.create(tmp_path / "r.db", ["q"], {}) as file:
         file.append({"q": "1"}, 0)
         file._db.execute(f"PRAGMA max_page_count = {file._db.execute('PRAGMA page_count').fetchone()[0]}")
-        with pytest.raises(RecordingError, match=r"r\.db: cannot be written \(database or disk is full\)"):
+        with pytest.raises(RunFailed, match=r"r\.db: cannot be written \(database or disk is full\)"):
             file.append({"q": "x" * 50_000}, 0, again=True)
         assert file.table()[1] == (("1",),)
 

@@ -324,6 +324,18 @@ def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Sit
     with pytest.raises(BeamLost):
         situation.run(Scripted(situation, None, None, Command.REDO))
     assert situation.indices() == [0, 1]
+    situation.tracker.lost_from = math.inf
+    situation.run()  # what somebody wanted again is measured again, also after a resume, and once
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    assert len(situation.axes.moves) == 2 + 1 + 5
+    situation.run()
+    assert len(situation.axes.moves) == 2 + 1 + 5
+
+
+def test_what_was_to_be_measured_again_and_is_left_out_instead_is_not_in_the_recording(situation: Situation) -> None:
+    situation.run(Scripted(situation, None, None, Command.REDO, Command.SKIP))
+    assert situation.indices() == [0, 2, 3, 4, 5]
+    assert situation.events("skip") == ["visit 1 left out by the operator"]
 
 
 def test_a_resumed_run_keeps_another_site_file_beside_the_first(situation: Situation) -> None:
