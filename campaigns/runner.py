@@ -165,14 +165,14 @@ class _Run:
         return self._bench.clock.utc().isoformat(timespec="milliseconds")
 
     def _all_done(self, file: RecordingFile) -> bool:
-        return len((file.done() - _to_redo(file)) | _skipped(file)) >= len(self._plan.visits)
+        return len(_finished(file)) >= len(self._plan.visits)
 
     def _result(self, file: RecordingFile) -> RunResult:
         return RunResult(self._out, self._measured, len(file.done()), len(_skipped(file)), self._lost)
 
     # --- the loop ------------------------------------------------------------------------------------------
     def _visits(self, file: RecordingFile) -> RunResult:
-        finished = (file.done() - _to_redo(file)) | _skipped(file)
+        finished = _finished(file)
         todo = [visit for visit in self._plan.visits if visit.index not in finished]
         last: Visit | None = None
         seconds_left = self._plan.seconds_left(finished)
@@ -412,6 +412,11 @@ def _refuse_another_run(file: RecordingFile, wanted: Mapping[str, str]) -> None:
                 f"{file.path}: was begun with another {name} ({was}, now {wanted[key][:12]}); "
                 "choose a new file, or go on with what it was begun with"
             )
+
+
+def _finished(file: RecordingFile) -> set[int]:
+    """Plan indices that nothing is to be done for any more."""
+    return (file.done() - _to_redo(file)) | _skipped(file)
 
 
 def _to_redo(file: RecordingFile) -> set[int]:

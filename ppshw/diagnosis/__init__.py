@@ -86,15 +86,12 @@ def diagnose(
     calming = _calming(space, without, seed)
     calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
     gross = gross_errors(calmed)
-    believed = everything.copy()
-    if gross.visits:
-        believed[list(gross.visits)] = False
+    believed = gross.others(len(recording))
     if gross.visits or gross.at_a_place:
         space = prepare(machine, recording, believed, None, None, gross.at_a_place)
         # beside one that is metres off its neighbours looked wrong too
         if (still := still_gross(space, gross)).visits != gross.visits:
-            gross, believed = still, everything.copy()
-            believed[list(gross.visits)] = False
+            gross, believed = still, still.others(len(recording))
             space = prepare(machine, recording, believed, None, None, gross.at_a_place)
     del calmed
     tell(2, 10)
@@ -112,8 +109,7 @@ def diagnose(
         if not found or (again and still.visits == gross.visits):
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
-        believed = everything.copy()
-        believed[list(gross.visits)] = False
+        believed = gross.others(len(recording))
         base = estimate(joint_model(machine, recording), _without(space, tried, found).subset(believed))
         base = _as_believed(space, base, believed)
         space = prepare(machine, recording, believed, base, calming, gross.at_a_place)

@@ -53,6 +53,10 @@ class GrossErrors:
     size: float = 0.0
     p: float = 1.0
 
+    def others(self, count: int) -> Mask:
+        """(count,) which visits are not simply wrong."""
+        return ~np.isin(np.arange(count), self.visits)
+
     def findings(self, rows: NDArray[np.int64]) -> list[dict[str, Any]]:
         """rows: which visits of the recording those that were looked at are."""
         if not self.visits:

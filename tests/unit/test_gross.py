@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from ppshw import diagnosis
 from ppshw.diagnosis import diagnose, gross
 from ppshw.diagnosis.checks import before_and_after
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gross import (
     GrossErrors,
     _tails,
@@ -113,6 +116,32 @@ def test_what_the_base_model_takes_of_a_finding_excuses_no_visit(aside: Workspac
     shifted.take_up(column[..., None], np.array([1.0]))
     assert np.abs(shifted.beyond(shifted.moved())).max() < 0.1e-3
     assert still_gross(shifted, GrossErrors(visits=(BAD,))).visits == (BAD,)
+
+
+def test_a_good_visit_that_looked_wrong_beside_a_bad_one_comes_back(
+    bad: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where nothing is found at last: good neighbours of a reading that was 17 m off stayed set aside."""
+    monkeypatch.setattr(diagnosis, "gross_errors", lambda _: GrossErrors(visits=(BAD, BAD + 1, BAD + 2)))
+    said = diagnose(bad.machine, bad.recording).answer["findings"]
+    assert [(f["effect"], f["region"]) for f in said] == [("outliers", [BAD + 1])]
+
+
+@pytest.mark.parametrize(("what", "share"), [("taken by the base model", 0.05), ("by nothing", 1.0)])
+def test_of_what_the_base_model_takes_nearly_all_of_no_more_is_taken_off_than_it_leaves(
+    aside: Workspace, what: str, share: float
+) -> None:
+    column = np.zeros(aside.data.shape)
+    sides = np.random.default_rng(3).choice([-1.0, 1.0], size=len(aside.recording))
+    column[:, ::3] = 1.0 if what == "taken by the base model" else sides[:, None]
+    moved = replace(aside, data=aside.data + 1e-3 * column)
+    moved.take_up(column[..., None], np.array([1.0]))
+    tried = SimpleNamespace(candidates=[SimpleNamespace(columns=("the column",))])
+    off = moved.recording.points - diagnosis._without(moved, tried, [Found(0, ("drift", None), 0.0, 9.0)]).points  # type: ignore[arg-type]
+    size = np.linalg.norm(moved.moved())
+    assert size > 0.0
+    assert np.linalg.norm(off) <= 1.001 * share * size
+    assert share < 1.0 or np.linalg.norm(off) > 0.999 * size
 
 
 def _noisier(space: Workspace, more: np.ndarray) -> Workspace:

@@ -15,6 +15,12 @@ from ppshw.terms.shapes import Column, Context
 LEAST_MOMENT, HEAVIEST_CHAIN = 0.05, 100.0  # N m (standard deviation over the visits), N
 
 
+def own_moment(c: Context, frame: int, component: int) -> Column | None:
+    """What a frame does by a moment (component 3, 4 or 5) of the machine's own weight; None where it hardly changes."""
+    column = Column("frame", "own_weight", {"frame": frame, "component": component}, frame, component)
+    return column if float(np.std(column.value(c))) > LEAST_MOMENT else None
+
+
 def moving_weight(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         mass = Column("frames", "body_weight", {"joint": k, "what": "mass"})
@@ -43,8 +49,7 @@ def moving_weight(c: Context) -> Iterator[Candidate]:
             yield Candidate("moving_weight", name, name, None, f"q_{by}", that_act(c, hose), share=0.05)
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
-            column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
-            if float(np.std(column.value(c))) > LEAST_MOMENT:
+            if (column := own_moment(c, frame, b)) is not None:
                 yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (column,), {}, 0.5)
             if frame < c.machine.n:
                 args = {"frame": frame, "component": b, "joint": frame}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.library.by_instrument import MOST_TARES
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
-from ppshw.diagnosis.library.weight import LEAST_MOMENT
+from ppshw.diagnosis.library.weight import own_moment
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -100,11 +100,8 @@ def by_own_weight(c: Context) -> Iterator[Candidate]:
     """A frame gives way to the weight of the machine's own bodies other than to what the end effector bears."""
     for frame in range(1, c.machine.n + 1):
         for b in range(3, 6):
-            column = Column("frame", "own_weight", {"frame": frame, "component": b}, frame, b)
-            load = column.value(c)
-            if float(np.std(load)) > LEAST_MOMENT:
-                gives_way = rival(c, frame, b, (), [column])
-                yield from _by_positions(c, [gives_way], load)
+            if (column := own_moment(c, frame, b)) is not None:
+                yield from _by_positions(c, [rival(c, frame, b, (), [column])], column.value(c))
 
 
 def mounted(c: Context) -> Iterator[Candidate]:
