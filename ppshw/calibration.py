@@ -213,6 +213,9 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
         if (found.noise.joints < 0).any():
             raise CalibrationError(f"{path}: damaged: noise.joints holds negative variances")
         everything["noise.joints"] = found.noise.joints
+    for effect in found.effects:
+        numbers = np.concatenate([effect.values, effect.std, np.ravel(effect.correlation)])
+        everything[f"effects.{effect.name}"] = numbers
     for name, values in everything.items():
         if not (np.abs(values) <= LARGEST).all():
             wanted = f"finite numbers below {LARGEST:g}"

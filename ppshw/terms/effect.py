@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ class Effect:
     sentence: str
     correlation: tuple[tuple[float, ...], ...] = ()
 
-    @property
+    @cached_property  # asked for at every setpoint
     def spread(self) -> Array:
         """(k, k) whose rows, each of one independent unit normal, are together how unsure the values are."""
         std = np.array(self.std)

@@ -517,6 +517,11 @@ CALIBRATIONS: dict[str, tuple[Spoil, str]] = {
     "a value in words": (edit(lambda d: d["terms"][0]["parameters"][0].update(value="much")), "damaged:"),
     "nan": (edit(lambda d: d["terms"][0]["parameters"][0].update(value=float("nan"))), "not finite numbers"),
     "an absurd value": (edit(lambda d: d["terms"][0]["parameters"][0].update(value=1e300)), "terms holds values that are not finite numbers below 1e+09"),
+    "an effect whose correlation is nan": (edit(lambda d: d["effects"].append(
+        {"effect": "backlash", "joint": "rail", "sentence": "", "values": [1e-4, 1e-4], "std": [1e-5, 1e-5], "columns": [
+            {"on": "frame", "function": "approach", "args": {"joint": 0}, "frame": 1, "component": 0}] * 2,
+         "correlation": [[1.0, float("nan")], [float("nan"), 1.0]]})),
+        "effects.backlash holds values that are not finite numbers"),
     "nan for a limit": (edit(lambda d: d["valid"]["joints"].update(rail=[float("nan"), 1.0])), "not finite numbers"),
     "no covariance": (edit(lambda d: d["covariance"].update(data="")), "damaged:"),
     "covariance in shreds": (edit(lambda d: d["covariance"].update(data="eJwDAAAAAAE=AAAA")), "damaged:"),
