@@ -26,6 +26,7 @@ from campaigns.script import (
     SweepStep,
     not_on_any_machine,
 )
+from drivers.axis_config import trapezoid_time
 from ppshw import kinematics
 from ppshw.errors import CampaignError
 from ppshw.machine import Joint, Machine
@@ -316,14 +317,11 @@ def _at(home: Array, q: Mapping[str, float], machine: Machine, where: str) -> Ar
 def travel(joints: Sequence[Joint], a: ArrayLike, b: ArrayLike) -> Array:
     """Seconds from positions a (..., n) to b (..., n) [m, rad] of n joints: all start together, the slowest decides.
 
-    From rest to rest, a trapezoid, or a triangle where the way d is too short for full speed: d/v + v/a or 2 √(d/a).
-    As fast as the machine file allows: what a site makes slower (drivers.axis_config) is not known here.
+    From rest to rest, as fast as the machine file allows: what a site makes slower is not known here.
     """
     v = np.array([(j.limits and j.limits.velocity) or VELOCITY_GUESS for j in joints])
     rate = np.array([(j.limits and j.limits.acceleration) or ACCELERATION_GUESS for j in joints])
-    way = np.abs(np.asarray(b, dtype=float) - np.asarray(a, dtype=float))
-    seconds = np.where(way >= v**2 / rate, way / v + v / rate, 2.0 * np.sqrt(way / rate))
-    return np.asarray(seconds.max(axis=-1))
+    return np.asarray(trapezoid_time(np.subtract(b, a), v, rate).max(axis=-1))
 
 
 def travel_time(joint: Joint, distance: float) -> float:

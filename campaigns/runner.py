@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -42,6 +44,7 @@ Array = NDArray[np.float64]
 # to command (n,). The wrench is the one at the pose `now`: the payload's weight turns in the sensor frame as the
 # machine moves.
 SetpointMap = Callable[[Array, Array, Array, Around], Array]
+LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 _LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
 
@@ -217,8 +220,7 @@ class _Run:
         commanded = self._corrected(visit, wanted)
         report = bench.axes.move(dict(zip(self._joints, commanded.tolist(), strict=True)))
         rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
-        if rest > 0:
-            bench.clock.sleep(rest)
+        self._wait(rest)
         settled_s, time = bench.clock.now() - report.ended_at, self._now()
         q = bench.axes.positions()
         shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
@@ -278,7 +280,8 @@ class _Run:
         assert load is not None, f"visit {visit.index} has a load '{visit.load}' that the script does not define"
         self._baseline(file, f"before the change to load {load.name}")
         asked = self._now()
-        answer = self._operator.change_load(load)
+        with self._watched():
+            answer = self._operator.change_load(load)
         mass = load.mass if answer.mass is None else answer.mass
         note = {"asked": asked, "operator": answer.name, "mass_kg": mass, **asdict(load)}
         text = f"{load.name}: {mass:g} kg put on by {answer.name}"
@@ -318,14 +321,14 @@ class _Run:
                 if command is not Command.PAUSE:  # else the end of the pause says it
                     self._log(file, "released", f"operator: {wanted.name.lower()}")
                 return wanted
-            self._bench.clock.sleep(SUSPENDED_FOR_S)
-            self._bench.axes.raise_if_faulty()
+            self._wait(SUSPENDED_FOR_S)
 
     def _obey(self, file: RecordingFile, command: Command | None, visit: Visit, last: Visit | None) -> Command | None:
         """Returns SKIP or REDO where that is to be done, None where the run goes on."""
         if command is Command.PAUSE:
             self._log(file, "paused", f"before visit {visit.index}")
-            command = self._operator.wait_for_command(f"Paused before visit {visit.index + 1}.")
+            with self._watched():
+                command = self._operator.wait_for_command(f"Paused before visit {visit.index + 1}.")
             self._log(file, "released", f"operator: {command.name.lower()}")
         if command is Command.ABORT:
             raise Stopped(f"stopped by the operator before visit {visit.index + 1} of {len(self._plan.visits)}")
@@ -339,6 +342,39 @@ class _Run:
         if command is Command.REDO:
             self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.index + 1}.")
         return None
+
+    def _wait(self, seconds: float) -> None:
+        clock = self._bench.clock
+        end = clock.now() + seconds
+        while (left := end - clock.now()) > 0:
+            clock.sleep(min(left, LOOK_S))
+            self._bench.axes.raise_if_faulty()
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Looks at the axes while a person is asked, who may take an hour. By real time: machine time that is stepped
+        stands still meanwhile. What is found stops the axes at once, and is raised when the person has answered."""
+        answered, found = threading.Event(), list[Exception]()
+
+        def watch() -> None:
+            while not answered.wait(LOOK_S):
+                try:
+                    self._bench.axes.raise_if_faulty()
+                except Exception as error:
+                    self._bench.axes.quick_stop()
+                    found.append(error)
+                    self._operator.tell(f"{error}. The axes are stopped, the run ends after your answer.")
+                    return
+
+        watcher = threading.Thread(target=watch, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            answered.set()
+            watcher.join()
+        if found:
+            raise found[0]
 
     def _log_trouble(self, file: RecordingFile, error: BaseException, visit: Visit | None) -> None:
         data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}

@@ -9,7 +9,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from ppshw.errors import SiteError, SoftLimit
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -101,11 +106,11 @@ class AxisConfig:
 
     def travel_time(self, distance: float) -> float:
         """Seconds from rest to rest, speeding up no faster than it slows down: never less than it takes."""
-        return trapezoid_time(distance, self.velocity, min(self.acceleration, self.deceleration or self.acceleration))
+        slowest = min(self.acceleration, self.deceleration or self.acceleration)
+        return float(trapezoid_time(distance, self.velocity, slowest))
 
 
-def trapezoid_time(distance: float, velocity: float, acceleration: float) -> float:
+def trapezoid_time(distance: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """From rest to rest: trapezoid, or triangle where it is too short for full speed: d/v + v/a, or 2 √(d/a).  [s]"""
-    if distance >= velocity**2 / acceleration:
-        return distance / velocity + velocity / acceleration
-    return 2.0 * math.sqrt(max(0.0, distance) / acceleration)
+    way, v, a = np.abs(distance), np.asarray(velocity), np.asarray(acceleration)
+    return np.asarray(np.where(way >= v**2 / a, way / v + v / a, 2.0 * np.sqrt(way / a)))

@@ -121,13 +121,13 @@ class GeoComTracker:
         self._connect()
         model, serial_number, firmware = self._identity()
         inside = self._ask(lambda geo: geo.csv.get_internal_temperature())
-        ppm, prism_mm = self._distance_correction()
+        ppm, prism_m = self._distance_correction()
         return DeviceInfo(
             device=self.name,
             model=model,
             serial=str(serial_number),
             firmware=firmware,
-            status=f"inside {inside:.1f} °C, own distance correction {ppm:g} ppm, prism {1e3 * prism_mm:.1f} mm",
+            status=f"inside {inside:.1f} °C, own distance correction {ppm:g} ppm, prism {1e3 * prism_m:.1f} mm",
         )
 
     def start(self) -> None:

@@ -70,36 +70,17 @@ def diagnose(
     without  effects that are taken out of the library (their cases must then be called unexplained)
     Raises RecordingError when the recording is too short to tell.
     """
-    recording = without_copies(recording)
-    rows = np.flatnonzero(recording.seen.any(axis=1))
-    recording = recording.subset(rows)
-    if len(recording) < LEAST_VISITS:
-        raise RecordingError(
-            f"{recording.source}: visits with a target: {len(recording)}, expected {LEAST_VISITS} or more to diagnose"
-        )
+    recording, rows = _of_use(recording)
     recording, mistakes = column_mistakes(machine, recording)
     tell = progress or (lambda done, total: None)
     tell(0, 10)
-    everything = np.ones(len(recording), dtype=bool)
-    space = prepare(machine, recording, everything)
-    # what swings more than the rest counts less, or its visits would be called wrong
-    calming = _calming(space, without, seed)
-    calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
-    gross = gross_errors(calmed)
-    believed = gross.others(len(recording))
-    if gross.visits or gross.at_a_place:
-        space = prepare(machine, recording, believed, None, None, gross.at_a_place)
-        # beside one that is metres off its neighbours looked wrong too
-        if (still := still_gross(space, gross)).visits != gross.visits:
-            gross, believed = still, still.others(len(recording))
-            space = prepare(machine, recording, believed, None, None, gross.at_a_place)
-    del calmed
+    space, gross, calming = _believed(machine, recording, without, seed)
     tell(2, 10)
     # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
     tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     if calming is not None and not found:
         del tried
-        space = prepare(machine, recording, believed, space.base, calming, gross.at_a_place)
+        space = prepare(machine, recording, gross.others(len(recording)), space.base, calming, gross.at_a_place)
         tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
@@ -109,11 +90,8 @@ def diagnose(
         if not found or (again and still.visits == gross.visits):
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
-        believed = gross.others(len(recording))
-        base = estimate(joint_model(machine, recording), _without(space, tried, found).subset(believed))
-        base = _as_believed(space, base, believed)
-        space = prepare(machine, recording, believed, base, calming, gross.at_a_place)
         before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
+        space = _learnt_without(machine, space, tried, found, gross, calming)
         del tried  # its columns are most of the memory: the next look lays its own
         tried, found = _look(space, without, seed, before, lost, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
@@ -127,6 +105,47 @@ def diagnose(
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
     return Diagnosis(answer, space, carried.found)
+
+
+def _of_use(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
+    """The visits that saw a target, each once, and which rows of them these are."""
+    recording = without_copies(recording)
+    rows = np.flatnonzero(recording.seen.any(axis=1))
+    recording = recording.subset(rows)
+    if len(recording) < LEAST_VISITS:
+        raise RecordingError(
+            f"{recording.source}: visits with a target: {len(recording)}, expected {LEAST_VISITS} or more to diagnose"
+        )
+    return recording, rows
+
+
+def _believed(
+    machine: Machine, recording: Recording, without: frozenset[str], seed: int
+) -> tuple[Workspace, GrossErrors, Array | None]:
+    """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
+    everything = np.ones(len(recording), dtype=bool)
+    space = prepare(machine, recording, everything)
+    # what swings more than the rest counts less, or its visits would be called wrong
+    calming = _calming(space, without, seed)
+    calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
+    gross = gross_errors(calmed)
+    if gross.visits or gross.at_a_place:
+        space = prepare(machine, recording, gross.others(len(recording)), None, None, gross.at_a_place)
+        # beside one that is metres off its neighbours looked wrong too
+        if (still := still_gross(space, gross)).visits != gross.visits:
+            gross = still
+            space = prepare(machine, recording, gross.others(len(recording)), None, None, gross.at_a_place)
+    return space, gross, calming
+
+
+def _learnt_without(
+    machine: Machine, space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, calming: Array | None
+) -> Workspace:
+    """The base model once more, learnt from the recording as it would be without what was found."""
+    believed = gross.others(len(space.recording))
+    base = estimate(joint_model(machine, space.recording), _without(space, tried, found).subset(believed))
+    base = _as_believed(space, base, believed)
+    return prepare(machine, space.recording, believed, base, calming, gross.at_a_place)
 
 
 def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | None:

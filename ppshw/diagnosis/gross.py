@@ -69,7 +69,7 @@ class GrossErrors:
         return [
             {
                 "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
-                "region": [v + 1 for v in visits],
+                "region": [visits[0] + 1, visits[-1] + 1], "visits": [v + 1 for v in visits],
                 "parameters": {"visits": {"value": len(visits), "std": 0, "unit": "1"}},
                 "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "aliases": [],
                 "sentence": sentence,

@@ -7,6 +7,7 @@ import math
 import os
 import select
 import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -26,6 +27,7 @@ from ppshw.errors import (
     CompensationRefused,
     DriveFault,
     HardwareError,
+    HeartbeatLost,
     InstrumentFault,
     RecordingError,
     RunFailed,
@@ -63,6 +65,7 @@ class FakeAxes:
         self.trouble: tuple[int, BaseException] | None = None
         self.fell_over: tuple[int, HardwareError] | None = None  # while the tracker measured, after so many moves
         self.stop_error: BaseException | None = None
+        self.silent_from = np.inf  # machine time from which a node is silent
 
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
@@ -88,7 +91,9 @@ class FakeAxes:
         return {n: x + 1e-6 for n, x in self.at.items()}
 
     def raise_if_faulty(self) -> None:
-        pass
+        if self.clock.now() >= self.silent_from:
+            self.noticed = self.clock.now()
+            raise HeartbeatLost("lift", "no heartbeat")
 
     def require_at_rest(self, at: Mapping[str, float]) -> None:
         assert at == self.positions()
@@ -460,6 +465,48 @@ def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path)
     assert len(situation.events("released")) == 1
     first = load_recording(situation.out, situation.machine).time[0]
     assert first - situation.clock.utc().timestamp() + situation.clock.now() == pytest.approx(120 + 10, abs=1)
+
+
+@pytest.mark.parametrize("wait", ["suspended", "settling"])
+def test_an_axis_that_falls_silent_while_the_run_waits_is_missed_within_a_second(tmp_path: Path, wait: str) -> None:
+    situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
+    if wait == "suspended":
+        situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+    situation.axes.silent_from = 5.0  # of a minute of suspension, or of 3 s of motion and 7 s of settling
+    with pytest.raises(HeartbeatLost, match="lift: no heartbeat"):
+        situation.run()
+    assert situation.axes.noticed <= 6.0
+    assert situation.axes.stops > 0
+    assert situation.indices() == []
+
+
+@pytest.mark.parametrize("asked", ["change_load", "wait_for_command"])
+def test_an_axis_that_falls_silent_while_a_person_is_asked_stops_the_others_at_once(
+    situation: Situation, asked: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class TakesItsTime(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            return self.slowly("change_load") or super().change_load(load)
+
+        def wait_for_command(self, why: str) -> Command:
+            return self.slowly("wait_for_command") or super().wait_for_command(why)
+
+        def slowly(self, what: str) -> None:
+            if what == asked:
+                situation.axes.silent_from = 0.0
+                assert told.wait(5.0)
+
+        def tell(self, text: str) -> None:
+            super().tell(text)
+            told.set()
+
+    told = threading.Event()
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    operator = TakesItsTime(situation, Command.PAUSE, Command.GO_ON)
+    with pytest.raises(HeartbeatLost, match="lift: no heartbeat"):
+        situation.run(operator)
+    assert "lift: no heartbeat. The axes are stopped, the run ends after your answer." in operator.told
+    assert situation.events("fault") == ["lift: no heartbeat"]
 
 
 def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
