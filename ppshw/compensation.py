@@ -1,10 +1,10 @@
 """Wanted pose and load → corrected joint setpoints   (paper figure 3).
 
 The real machine, as calibrated, is asked where it would go; Newton's method moves the setpoints until it goes where it
-should. Fewer than six joints cannot put a whole pose right: there the position of the point that was asked for goes
-first, and what stays is said. What cannot be honoured is refused with a reason: nothing is clipped. Of the effects that
-a diagnosis found those that can be known when a setpoint is computed are taken out (terms/at_hand.py), the others
-named, with the reason.
+should. Joints that move the end effector in fewer than six ways cannot put a whole pose right: there the position of
+the point that was asked for goes first, and what stays is said. What cannot be honoured is refused with a reason:
+nothing is clipped. Of the effects that a diagnosis found those that can be known when a setpoint is computed are taken
+out (terms/at_hand.py), the others named, with the reason.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
 from ppshw.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
-from ppshw.kinematics import frames, point_jacobian, point_positions, tip_poses
+from ppshw.kinematics import frames, freedoms, point_jacobian, point_positions, tip_poses
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.quantities import distance
 from ppshw.recording import Around, Recording
@@ -84,15 +84,16 @@ class Circumstances:
 class Compensator:
     """Corrects setpoints of one calibrated machine.
 
-    Six joints and more put the whole end-effector frame right. Fewer (`position_first`) bring the named point to its
-    place, or as near as they go, and turn its frame as far as that allows; `Setpoints.left` is what stays.
+    Six joints and more put the whole end-effector frame right. Fewer, or joints that move it in fewer ways, bring the
+    named point to its place, or as near as they go, and turn its frame as far as that allows (`position_first`);
+    `Setpoints.left` is what stays.
     """
 
     def __init__(self, calibration: Calibration, bounds: Bounds | None = None) -> None:
         self.calibration = calibration
         self.machine = calibration.machine
         self.bounds = bounds or Bounds()
-        self.position_first = self.machine.n < 6
+        self.position_first = freedoms(self.machine) < 6
         self.known: KnownEffects | None = None
         if calibration.effects:
             self.known = KnownEffects(
@@ -113,7 +114,7 @@ class Compensator:
         wanted   (4, 4) of the point (its axes are the end effector's) in the base frame
         payload  (6,) on the sensor, sensor frame, at that pose    [N, N·m]
         Raises CompensationRefused: out of reach of the ideal machine, beyond a limit, outside what was identified, too
-        large a correction, one that leaves the point farther off than none, or (fewer than six joints) none found.
+        large a correction, one that leaves the point farther off than none, or (position first) none found.
         """
         offset = transform(np.eye(3), self.machine.point(point))
         wanted_tip = wanted @ inverse(offset)

@@ -17,6 +17,7 @@ from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
 from ppshw.errors import CalibrationError, CompensationRefused, PpshwError
 from ppshw.inverse import amount
+from ppshw.kinematics import freedoms
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.terms import Situation
@@ -68,9 +69,9 @@ class FastCompensator:
             raise PpshwError(f"fast setpoints need numba ({exc}): pip install 'ppshw[fast]'") from None
         self.calibration = calibration
         self.machine = calibration.machine
-        if self.machine.n < 6:
-            joints = f"'{self.machine.name}' has {self.machine.n} joints"
-            raise CalibrationError(f"{joints}, compiled setpoints need six or more: use Compensator")
+        if (ways := freedoms(self.machine)) < 6:
+            moved = f"the joints of '{self.machine.name}' move its end effector in {ways} ways"
+            raise CalibrationError(f"{moved}, compiled setpoints need all six: use Compensator")
         self.left_out = tuple(effect.sentence for effect in calibration.effects)
         self._slow = Compensator(replace(calibration, effects=()), bounds)
         self._kernel = fast_kernel

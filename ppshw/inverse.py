@@ -42,7 +42,8 @@ def solve_pose(
     calibration None: the ideal machine
     effects     errors beyond the calibration's base model, for one pose (N = 1)
     point       (3,) in the end-effector frame [m]: its position goes first, and the orientation is as near as that
-                allows, for machines that cannot have both; None: position and orientation alike, which can be had
+                allows, by what the ideal joints can do, for machines that cannot have both; None: position and
+                orientation alike, which can be had
     returns     (N, n) joint values, (N, 6) what is left: of the position, of the point if there is one, and the
                 rotation vector, base axes [m, rad]; without a point not converged where that is large
     Raises CompensationRefused where a point is given and Newton's method comes to no rest (near singular poses).
@@ -67,6 +68,8 @@ def solve_pose(
         left[:, 3:] = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
         if np.abs(left[:, :3]).max() < POSITION_TOLERANCE and np.abs(left[:, 3:]).max() < ROTATION_TOLERANCE:
             break
+        if point is not None:  # errors would lend the joints ways that they have by a thousandth only
+            chain = frames(machine, q)
         jacobian = np.empty((len(q), 6, machine.n))
         jacobian[:, :3] = joint_jacobian(machine, chain, reached[:, None])[:, 0]
         for k, joint in enumerate(machine.joints):

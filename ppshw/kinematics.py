@@ -165,3 +165,17 @@ def joint_jacobian(machine: Machine, chain: Array, positions: Array) -> Array:
         else:
             out[..., k] = np.cross(axis[:, None], positions - chain[:, None, k + 1, :3, 3])
     return out
+
+
+def freedoms(machine: Machine) -> int:
+    """In how many of a frame's six ways the joints of the ideal machine can move the end effector: the most over poses
+    spread over the travel, since there are fewer at singular ones."""
+    lower, upper = machine.limits()
+    low, high = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (16, machine.n))
+    chain = frames(machine, q)
+    tip = chain[:, -1] @ machine.tip_in_link
+    moved = joint_jacobian(machine, chain, tip[:, None, :3, 3])[:, 0]
+    axes = [chain[:, k + 1, :3, :3] @ (j.axis * (not j.prismatic)) for k, j in enumerate(machine.joints)]
+    turned = np.stack(axes, axis=-1)
+    return int(np.linalg.matrix_rank(np.concatenate([moved, turned], axis=1), rtol=1e-6).max())
