@@ -135,19 +135,21 @@ class Cia402Group:
         return {name: self._position(axis) for name, axis in self._axes.items()}
 
     def close(self) -> None:
-        """Disable every drive (brakes close), end its watch over our heartbeat, leave the bus."""
-        if self._bus.is_open:
-            if self._started:
-                self._wait_for_standstill()
-            for axis in self._axes.values():
-                for step in [axis.disable, axis.end_watch] if self._started else [axis.end_watch]:
-                    try:
-                        step()
-                    except HardwareError as error:
-                        log.warning("closing: %s", error)
-        self._started = False
-        self._axes = {}
-        self._bus.close()
+        """Disable every drive (brakes close), end its watch over our heartbeat, leave the bus; no step is left out for
+        one that failed."""
+        steps = [self._wait_for_standstill] if self._started else []
+        for axis in self._axes.values():
+            steps += [axis.disable, axis.end_watch] if self._started else [axis.end_watch]
+        try:
+            for step in steps:
+                try:
+                    step()
+                except Exception as error:
+                    log.warning("closing: %s", error)
+        finally:
+            self._started = False
+            self._axes = {}
+            self._bus.close()
 
     def __enter__(self) -> Cia402Group:
         return self
@@ -191,6 +193,8 @@ class Cia402Group:
             log.warning("closing: axes still moved %g s after the quick stop", RAMP_S)
         except Exception as error:  # best effort, as the stop itself
             log.warning("closing: %s", error)
+            with self._bus.arrival:  # unseen, the ramps are given their time: nothing more arrives
+                self._clock.wait_for(self._bus.arrival, lambda: False, deadline - self._clock.now())
 
     def _power_off_the_disobedient(self) -> None:
         """A node without process data may still answer SDO, for instance when it fell back to PRE-OPERATIONAL."""

@@ -10,7 +10,8 @@ import logging
 import re
 import struct
 import threading
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.ports import Clock
-from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout, SiteError
+from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout, ProtocolError, SiteError
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +87,7 @@ class CanBus:
     def open(self) -> None:
         if self._network is not None:
             return
-        network = canopen.Network()
+        network = _Network(self.config.name)
         network.listeners.append(_LossListener(self))  # type: ignore[arg-type]
         network.NOTIFIER_CYCLE = 0.02  # how long closing may take; the default is a second
         try:
@@ -109,10 +110,7 @@ class CanBus:
             log.warning("%s: closed after it was lost: %s", self.config.name, error)
 
     def check(self) -> None:
-        try:
-            self.network.check()
-        except Exception as error:  # whatever has ended the receiving thread
-            raise BusLost(self.config.name, str(error)) from error
+        self.network.check()
 
     def lost(self, error: Exception) -> None:
         """The receiving thread failed; called in it. Left alone it would end with a traceback for the operator."""
@@ -123,10 +121,7 @@ class CanBus:
             self.arrival.notify_all()
 
     def send(self, can_id: int, data: bytes) -> None:
-        try:
-            self.network.send_message(can_id, data)
-        except (can.CanError, OSError, RuntimeError) as error:
-            raise BusLost(self.config.name, f"cannot send: {error}") from error
+        self.network.send_message(can_id, data)
 
     def sync(self) -> None:
         self.send(0x80, b"")
@@ -151,6 +146,34 @@ class CanBus:
         if silent:
             self.check()
         return silent
+
+
+class _Network(canopen.Network):
+    """canopen's, of which every failure is BusLost, also inside its SDO client and its PDO maps.
+
+    python-can may raise anything: a garbled line ends the receiving thread by ValueError, and from then on canopen
+    raises it from every send, although the message has gone out.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name = name
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        try:
+            super().send_message(can_id, data, remote)
+        except BusLost:
+            raise
+        except Exception as error:
+            raise BusLost(self._name, f"cannot send: {error}") from error
+
+    def check(self) -> None:
+        try:
+            super().check()
+        except (ValueError, LookupError) as error:
+            raise BusLost(self._name, f"what came over it is no CAN frame: {error}") from error
+        except Exception as error:
+            raise BusLost(self._name, str(error)) from error
 
 
 class _LossListener(can.Listener):
@@ -261,15 +284,22 @@ class SdoPort:
             raise ConfigurationMismatch(self._device, f"{entry}: wrote {value}, read back {found}")
 
     def _transfer(self, entry: Entry, data: bytes | None) -> bytes:
+        with self.answered(str(entry)):
+            if data is None:
+                return bytes(self._sdo.upload(entry.index, entry.subindex))
+            self._sdo.download(entry.index, entry.subindex, data)
+            return b""
+
+    @contextmanager
+    def answered(self, what: str) -> Iterator[None]:
+        """One transfer at a time; what canopen raises inside says who was asked what. A refusal (SdoAbortedError) is
+        left to whoever asked."""
         with self._lock:
             try:
-                if data is None:
-                    return bytes(self._sdo.upload(entry.index, entry.subindex))
-                self._sdo.download(entry.index, entry.subindex, data)
-                return b""
+                yield
             except SdoCommunicationError as error:
                 self._bus.check()
                 waited = self._bus.config.sdo_timeout
-                raise HardwareTimeout(self._device, f"no SDO answer on {entry} within {waited:g} s") from error
-            except (can.CanError, OSError, RuntimeError) as error:
-                raise BusLost(self._bus.config.name, str(error)) from error
+                raise HardwareTimeout(self._device, f"no SDO answer on {what} within {waited:g} s") from error
+            except struct.error as error:
+                raise ProtocolError(self._device, f"the SDO answer on {what} is cut short: {error}") from error

@@ -262,7 +262,8 @@ class Cia402Axis:
             for entry in objects:
                 pdo.add_variable(entry.index, entry.subindex)
             try:
-                pdo.save()
+                with self.sdo.answered(f"PDO 0x{base:04X}"):
+                    pdo.save()
             except canopen.SdoAbortedError as error:
                 raise ConfigurationMismatch(self.name, f"PDO 0x{base:04X} cannot be mapped: {error}") from error
             self._compare_mapping(base, pdo)

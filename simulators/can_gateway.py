@@ -7,6 +7,8 @@ A simulated machine in a process of its own is then configured exactly like a re
 Frames: `tIIILDD…`, `TIIIIIIIILDD…` (extended), `r`/`R` (remote); commands `S0`–`S8`, `O`, `L`, `C`, `V`, `N`, `F`;
 each is answered by CR, or BEL when it is not understood.
 
+Faults, once each: garble(), a character of a frame to the clients that is no hexadecimal digit; cut(), half a frame.
+
 Known limitations: bits per second and arbitration are not simulated; no time stamps, no CAN FD; a listen-only client
 is not kept from sending.
 """
@@ -17,7 +19,7 @@ import contextlib
 import logging
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import can
 
@@ -63,6 +65,8 @@ class SlcanGateway:
         self._clients: list[_Client] = []
         self._lock = threading.Lock()
         self._closing = threading.Event()
+        self._spoil: Callable[[bytes], bytes] | None = None
+        self._whole_before = 0
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._accept, self._forward)]
         for thread in self._threads:
             thread.start()
@@ -70,6 +74,13 @@ class SlcanGateway:
     @property
     def url(self) -> str:
         return f"socket://{self.host}:{self.port}"
+
+    def garble(self, after: int = 0) -> None:
+        """After so many whole frames; the line between adapter and host has no checksum."""
+        self._whole_before, self._spoil = after, lambda line: line[:6] + b"Z" + line[7:]
+
+    def cut(self, after: int = 0) -> None:
+        self._whole_before, self._spoil = after, lambda line: line[: 5 + 2 * ((len(line) - 6) // 4)] + b"\r"
 
     def close(self) -> None:
         """As if the adapter were pulled: clients find their connection closed."""
@@ -114,7 +125,16 @@ class SlcanGateway:
     def _broadcast(self, message: can.Message, sender: _Client | None) -> None:
         for client in self._connected():
             if client is not sender and client.is_open:
-                client.send(encode(message))
+                client.send(self._spoiled(encode(message)))
+
+    def _spoiled(self, line: bytes) -> bytes:
+        if self._spoil is None or len(line) < 8:
+            return line
+        if self._whole_before:
+            self._whole_before -= 1
+            return line
+        spoil, self._spoil = self._spoil, None
+        return spoil(line)
 
     def _serve(self, client: _Client) -> None:
         try:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import socket
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +17,8 @@ import pytest
 from drivers.axis_config import AxisConfig
 from drivers.axis_group import Cia402Group
 from drivers.canopen_bus import BusConfig
-from ppshw.errors import BusLost, DriveFault, HeartbeatLost
+from drivers.cia402 import Cia402Axis
+from ppshw.errors import BusLost, DriveFault, HardwareError, HeartbeatLost
 from simulators.can_gateway import SlcanGateway, decode, encode
 from simulators.clock import SteppedClock
 from simulators.drive import Power, SimulatedDriveRack
@@ -123,6 +126,62 @@ def test_an_adapter_that_is_pulled_is_a_lost_bus(over_slcan: Machine) -> None:
     over_slcan.clock.at(over_slcan.clock.now() + 2.0, over_slcan.gateway.close)
     with pytest.raises(BusLost, match=r"CAN slcan socket://127\.0\.0\.1:\d+: "):
         over_slcan.group.move({"axis 1": 1.0})
+
+
+def _soon_off(machine: Machine) -> bool:
+    """Whether every motor loses its power; messages cross the line in real time."""
+    deadline = time.monotonic() + 5.0
+    off = (Power.SWITCH_ON_DISABLED, Power.READY_TO_SWITCH_ON)
+    while not (all_off := all(drive.power in off for drive in machine.rack.drives.values())):
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.01)
+    return all_off
+
+
+def test_a_garbled_character_is_a_lost_bus_and_leaves_no_motor_on(over_slcan: Machine) -> None:
+    group, gateway = over_slcan.group, over_slcan.gateway
+    assert gateway is not None
+    group.start()
+    for drive in over_slcan.rack.drives.values():
+        drive.store(0x605A, 0, 6)  # powered in QUICK STOP ACTIVE, until told otherwise
+    over_slcan.clock.at(over_slcan.clock.now() + 2.0, gateway.garble)
+    with pytest.raises(BusLost, match=r"CAN slcan socket://127\.0\.0\.1:\d+: what came over it is no CAN frame: "):
+        group.move({"axis 1": 1.0})
+    group.close()
+    assert _soon_off(over_slcan)
+    over_slcan.clock.sleep(10.0)
+    # 0.15 m after 2 s, a look every 0.1 s, 0.005 m to brake at 1 m/s²; it would coast another 0.05 m
+    assert 14_000 < over_slcan.rack.drives[1].motor_position() < 18_000
+
+
+@pytest.mark.parametrize("after", [0, 3, 40, 75, 110, 200])
+@pytest.mark.parametrize("fault", ["garble", "cut"])
+def test_a_spoilt_frame_at_any_moment_of_the_start_has_a_device_and_a_cause(
+    over_slcan: Machine, fault: str, after: int
+) -> None:
+    getattr(over_slcan.gateway, fault)(after)
+    with contextlib.suppress(HardwareError):  # one that nobody waited for does no harm
+        over_slcan.group.start()
+    over_slcan.group.close()
+    assert _soon_off(over_slcan)
+
+
+@pytest.mark.parametrize("step", ["disable", "end_watch"])
+def test_closing_goes_through_every_step_whatever_one_says(
+    machine: Machine, step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine.group.start()
+    done = []
+
+    def fails(axis: Cia402Axis) -> None:
+        done.append(axis.name)
+        raise ValueError("a library's own mistake")
+
+    monkeypatch.setattr(Cia402Axis, step, fails)
+    machine.group.close()
+    assert done == ["axis 1", "axis 2", "axis 3"]
+    assert not machine.group._bus.is_open
 
 
 def test_an_adapter_that_is_not_there_is_a_lost_bus() -> None:
