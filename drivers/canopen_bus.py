@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 # SDO aborts by which drives say that they have no such object: none, no sub-index, not available, no data
 NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
 
+HEARTBEATS_MISSED = 3  # in a row; the drives, which wait for five periods, are then still told to stop
+
 
 @dataclass(frozen=True)
 class BusConfig:
@@ -73,6 +75,7 @@ class CanBus:
         self._network: canopen.Network | None = None
         self._pending: set[int] = set()
         self._loss: Exception | None = None
+        self._heartbeat: _HostHeartbeat | None = None
 
     @property
     def network(self) -> canopen.Network:
@@ -98,9 +101,12 @@ class CanBus:
             raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
         self._network, self._loss = network, None
         if self.config.host_node_id is not None:
-            network.send_periodic(0x700 + self.config.host_node_id, b"\x05", self.config.host_heartbeat_period)
+            self._heartbeat = _HostHeartbeat(network, self.config.host_node_id, self.config.host_heartbeat_period)
 
     def close(self) -> None:
+        if self._heartbeat is not None:
+            self._heartbeat.end()
+            self._heartbeat = None
         network, self._network = self._network, None
         if network is None:
             return
@@ -111,6 +117,8 @@ class CanBus:
 
     def check(self) -> None:
         self.network.check()
+        if self._heartbeat is not None and self._heartbeat.failure is not None:
+            raise BusLost(self.config.name, f"this program's heartbeat: {self._heartbeat.failure.cause}")
 
     def lost(self, error: Exception) -> None:
         """The receiving thread failed; called in it. Left alone it would end with a traceback for the operator."""
@@ -174,6 +182,40 @@ class _Network(canopen.Network):
             raise BusLost(self._name, f"what came over it is no CAN frame: {error}") from error
         except Exception as error:
             raise BusLost(self._name, str(error)) from error
+
+
+class _HostHeartbeat:
+    """The heartbeat by which drives know that this program lives; in real time, on a thread of its own.
+
+    Not python-can's periodic task: that one ends for good, with a traceback for the operator, when a single message
+    could not be sent, and nobody is told.
+
+    failure   why it has ended by itself
+    """
+
+    def __init__(self, network: _Network, node_id: int, period: float) -> None:
+        self.failure: BusLost | None = None
+        self._network, self._cob_id, self._period = network, 0x700 + node_id, period
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="host heartbeat", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._ended.set()
+        self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        failed = 0
+        while failed < HEARTBEATS_MISSED:
+            try:
+                self._network.send_message(self._cob_id, b"\x05")
+                failed = 0
+            except BusLost as error:
+                failed += 1
+                if failed == HEARTBEATS_MISSED:
+                    self.failure = error
+            if self._ended.wait(self._period):
+                return
 
 
 class _LossListener(can.Listener):

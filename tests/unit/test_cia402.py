@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -586,6 +587,59 @@ def test_the_drives_are_told_to_watch_the_hosts_heartbeat(build: Callable[..., M
         while (heard := listener.recv(1.0)) is None or heard.arbitration_id != 0x77E:
             assert time.monotonic() < deadline, "the host's heartbeat is missing"
     assert bytes(heard.data) == b"\x05"  # OPERATIONAL
+
+
+def failing_heartbeats(m: Machine, monkeypatch: pytest.MonkeyPatch, times: float) -> Iterator[int]:
+    """So many heartbeats in a row cannot be sent. Gives how many were tried, in all."""
+    adapter = m.group._bus.network.bus
+    assert adapter is not None
+    send, tried = adapter.send, itertools.count(1)
+    last = 0
+
+    def refuse(message: can.Message, timeout: float | None = None) -> None:
+        nonlocal last
+        if message.arbitration_id == 0x77E:
+            last = next(tried)
+            if last <= times:
+                raise can.CanOperationError("transmit buffer full")
+        send(message, timeout)
+
+    monkeypatch.setattr(adapter, "send", refuse)
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        yield last
+        time.sleep(0.005)
+
+
+def test_one_heartbeat_that_could_not_be_sent_does_not_end_them(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m = build(SLIDE)
+    m.group = watched(m)
+    m.group.start()
+    assert any(tried > 5 for tried in failing_heartbeats(m, monkeypatch, times=1))
+    m.group.raise_if_faulty()
+
+
+def test_a_host_that_cannot_send_its_heartbeat_has_lost_the_bus(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_the_terminal: list[threading.ExceptHookArgs] = []
+    monkeypatch.setattr(threading, "excepthook", on_the_terminal.append)
+    m = build(SLIDE)
+    m.group = watched(m)
+    m.group.start()
+
+    def look_again_and_again() -> None:
+        for _ in failing_heartbeats(m, monkeypatch, times=float("inf")):
+            m.group.raise_if_faulty()
+
+    with pytest.raises(BusLost, match="this program's heartbeat: cannot send: transmit buffer full"):
+        look_again_and_again()
+    m.clock.sleep(1.0)
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+    m.group.close()
+    assert on_the_terminal == []
 
 
 def test_the_watch_over_the_hosts_heartbeat_ends_with_the_program(build: Callable[..., Machine]) -> None:
