@@ -52,6 +52,7 @@ class Cia402Group:
         self._axes: dict[str, Cia402Axis] = {}
         self._approach = dict.fromkeys(self.names, 0)
         self._started = False
+        self._ours = False  # nobody else was found to move these axes
 
     def axis(self, name: str) -> Cia402Axis:
         self._connect()
@@ -88,6 +89,8 @@ class Cia402Group:
         self._connect()
         for axis in self._axes.values():
             axis.check_identity()
+            axis.refuse_in_motion()
+        self._ours = True
         self._bus.stopped = False
         try:
             for axis in self._axes.values():
@@ -147,7 +150,7 @@ class Cia402Group:
                 except Exception as error:
                     log.warning("closing: %s", error)
         finally:
-            self._started = False
+            self._started = self._ours = False
             self._axes = {}
             self._bus.close()
 
@@ -164,8 +167,11 @@ class Cia402Group:
     def quick_stop(self) -> None:
         """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show.
 
-        Best effort: what fails here is logged, because the reason for stopping is what must be heard.
+        Best effort: what fails here is logged, because the reason for stopping is what must be heard. Axes that another
+        program moves are left to it.
         """
+        if not self._ours:
+            return
         try:
             self._stop_at_once()
             if self._axes:

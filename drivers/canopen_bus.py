@@ -19,6 +19,7 @@ import can
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from drivers.bus_lock import BusLock
 from drivers.ports import Clock
 from ppshw.errors import BusLost, ConfigurationMismatch, HardwareTimeout, ProtocolError, SiteError
 
@@ -76,6 +77,7 @@ class CanBus:
         self._pending: set[int] = set()
         self._loss: Exception | None = None
         self._heartbeat: _HostHeartbeat | None = None
+        self._lock: BusLock | None = None
 
     @property
     def network(self) -> canopen.Network:
@@ -90,6 +92,18 @@ class CanBus:
     def open(self) -> None:
         if self._network is not None:
             return
+        self._loss = None
+        lock = BusLock(self.config.name, self.config.can)
+        try:
+            network = self._connected()
+        except BaseException:
+            lock.release()
+            raise
+        self._lock, self._network = lock, network
+        if self.config.host_node_id is not None:
+            self._heartbeat = _HostHeartbeat(network, self.config.host_node_id, self.config.host_heartbeat_period)
+
+    def _connected(self) -> _Network:
         network = _Network(self.config.name)
         network.listeners.append(_LossListener(self))  # type: ignore[arg-type]
         network.NOTIFIER_CYCLE = 0.02  # how long closing may take; the default is a second
@@ -99,9 +113,7 @@ class CanBus:
             raise BusLost(self.config.name, f"cannot be opened: {error}") from error
         except (TypeError, KeyError, AttributeError) as error:  # by which python-can refuses its arguments
             raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
-        self._network, self._loss = network, None
-        if self.config.host_node_id is not None:
-            self._heartbeat = _HostHeartbeat(network, self.config.host_node_id, self.config.host_heartbeat_period)
+        return network
 
     def close(self) -> None:
         if self._heartbeat is not None:
@@ -114,6 +126,9 @@ class CanBus:
             network.disconnect()
         except Exception as error:  # also whatever has ended the receiving thread
             log.warning("%s: closed after it was lost: %s", self.config.name, error)
+        finally:
+            if self._lock is not None:
+                self._lock.release()
 
     def check(self) -> None:
         self.network.check()

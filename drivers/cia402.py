@@ -69,6 +69,7 @@ from ppshw.errors import (
 )
 
 COARSE = 0.05  # share by which whole drive units may change a speed
+MOTION_S = 0.1  # s between two looks that tell an axis in motion from one that stands
 FOLLOWING_S = 0.1  # s outside a following-error window until it is an error, where the site gives a window alone
 
 
@@ -164,6 +165,16 @@ class Cia402Axis:
 
     def position(self) -> float:
         return self.config.to_si(self.sdo.read(POSITION))
+
+    def refuse_in_motion(self) -> None:
+        """Raises where the drive moves before this program has started it: to configure it would cut its power."""
+        if self.state() is not State.OPERATION_ENABLED:
+            return
+        before = self.position()
+        self._bus.clock.sleep(MOTION_S)
+        if abs((now := self.position()) - before) > self.config.window:
+            moves = f"moves ({before:.6g} to {now:.6g} {self.config.unit} within {MOTION_S:g} s)"
+            raise HardwareError(self.name, f"{moves} before it was started: another program drives it; end that first")
 
     # configuration
 

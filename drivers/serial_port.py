@@ -6,6 +6,7 @@ A port is what pyserial opens: `/dev/ttyUSB0`, `COM4`, `socket://10.0.0.7:4001`;
 from __future__ import annotations
 
 import contextlib
+import errno
 import time
 from collections.abc import Iterator
 from typing import cast
@@ -32,14 +33,19 @@ def open_port(device: str, port: Port, *, baudrate: int, timeout_s: float) -> se
     """Raises LineLost when there is no such port, or somebody else has it. timeout_s: real seconds."""
     try:
         if isinstance(port, str):
-            return serial.serial_for_url(port, baudrate=baudrate, timeout=timeout_s, write_timeout=timeout_s)
+            exclusive = "://" not in port or None  # a lock, which URLs do not have
+            return serial.serial_for_url(
+                port, baudrate=baudrate, timeout=timeout_s, write_timeout=timeout_s, exclusive=exclusive
+            )
         opened = cast(serial.Serial, port)  # every pyserial port has open(); its base class does not say so
         if not opened.is_open:
             opened.open()
         opened.timeout = timeout_s
         return opened
     except (*LINE_ERRORS, ValueError) as error:
-        raise LineLost(device, f"cannot open {port_name(port)}: {error}") from error
+        taken = getattr(error, "errno", None) in (errno.EAGAIN, errno.EBUSY)
+        reason = "another program has it" if taken else str(error)
+        raise LineLost(device, f"cannot open {port_name(port)}: {reason}") from error
 
 
 @contextlib.contextmanager

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import can
@@ -16,6 +20,7 @@ import pytest
 
 from drivers.axis_config import AxisConfig
 from drivers.axis_group import Cia402Group
+from drivers.bus_lock import BusLock, lock_file
 from drivers.canopen_bus import BusConfig
 from drivers.cia402 import Cia402Axis
 from ppshw.errors import BusLost, DriveFault, HardwareError, HeartbeatLost
@@ -28,6 +33,7 @@ AXES = [
     for n in (1, 2, 3)
 ]
 channels = (f"transport-{n}" for n in itertools.count())
+ports = itertools.count(10 * os.getpid())  # of nobody: names of buses that are never opened
 
 
 @dataclass
@@ -191,6 +197,51 @@ def test_an_adapter_that_is_not_there_is_a_lost_bus() -> None:
     group = Cia402Group(AXES, BusConfig(can=arguments), SteppedClock())
     with pytest.raises(BusLost, match="cannot be opened"):
         group.check()
+
+
+def test_a_bus_that_another_program_has_is_refused_until_it_is_given_back(over_slcan: Machine) -> None:
+    group = over_slcan.group
+    other = Cia402Group(AXES, replace(group._bus.config, sync_period=0.05), over_slcan.clock)
+    group.start()
+    with pytest.raises(BusLost, match=r"^CAN slcan socket://127\.0\.0\.1:\d+: another program has it; wait"):
+        other.check()
+    assert [row.problem.partition(";")[0] for row in other.look()] == ["another program has it"]
+    group.move({"axis 1": 0.1})
+    group.close()
+    assert len(other.check()) == 3
+    other.close()
+    assert not lock_file(group._bus.config.can).exists()
+
+
+def test_a_bus_that_could_not_be_opened_is_not_kept() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    arguments = {"interface": "slcan", "channel": f"socket://127.0.0.1:{port}", "sleep_after_open": 0}
+    for _ in range(2):
+        with pytest.raises(BusLost, match="cannot be opened"):
+            Cia402Group(AXES, BusConfig(can=arguments), SteppedClock()).check()
+
+
+def test_the_lock_on_a_bus_goes_with_the_program_that_was_killed() -> None:
+    arguments = {"interface": "socketcand", "channel": "can0", "host": "nowhere.invalid", "port": next(ports)}
+    hold = f"import drivers.bus_lock as b; held = b.BusLock('bus', {arguments}); print('held', flush=True); input()"
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", hold], stdin=pipe, stdout=pipe, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "held\n"
+        with pytest.raises(BusLost, match=r"^bus: another program has it"):
+            BusLock("bus", arguments)
+        BusLock("bus", {**arguments, "port": next(ports)}).release()
+        program.kill()
+    BusLock("bus", arguments).release()
+
+
+def test_two_names_for_one_adapter_are_one_bus(tmp_path: Path) -> None:
+    link = tmp_path / "usb-adapter"
+    link.symlink_to("/dev/null")
+    one, other = {"interface": "slcan", "channel": "/dev/null@115200"}, {"interface": "slcan", "channel": str(link)}
+    assert lock_file(one) == lock_file({**other, "bitrate": 500_000})
+    assert lock_file(one) != lock_file({**one, "interface": "socketcan"})
 
 
 # the adapter itself: lines as the LAWICEL manual shows them

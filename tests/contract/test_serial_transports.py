@@ -16,7 +16,7 @@ from drivers.bota import BotaSensor
 from drivers.geocom import GeoComTracker
 from drivers.gsv8 import Gsv8Sensor
 from drivers.ports import Atmosphere, WallClock
-from drivers.serial_port import Port
+from drivers.serial_port import Port, open_port
 from ppshw.errors import BeamLost, HardwareTimeout, LineLost, ProtocolError
 from simulators.force_torque import SimulatedBota, SimulatedGsv8
 from simulators.serial_line import LoopbackPort, PtyLine, SerialDevice, TcpLine
@@ -130,6 +130,17 @@ def test_a_sensor_that_is_unplugged_is_named(kind: str, plug: Plug, world: World
         time.sleep(0.12)
         with pytest.raises(LineLost, match="force sensor: lost the port"):
             sensor.read()
+
+
+def test_a_serial_port_that_somebody_has_is_refused_until_it_is_given_back(world: World, clock: WallClock) -> None:
+    """Two programs on one adapter would each hear half of the answers."""
+    with PtyLine(SimulatedTracker(world, clock)) as line:
+        tracker, other = GeoComTracker(line.url, clock), Gsv8Sensor(line.url, clock, name="sensor")
+        tracker.start()
+        with pytest.raises(LineLost, match=f"^sensor: cannot open {line.url}: another program has it$"):
+            other.start()
+        tracker.close()
+        open_port("sensor", line.url, baudrate=115200, timeout_s=0.1).close()
 
 
 def test_a_backlog_of_a_network_line_is_not_read(world: World) -> None:

@@ -32,6 +32,7 @@ from ppshw.errors import (
     ConfigurationMismatch,
     DriveFault,
     FollowingError,
+    HardwareError,
     HardwareTimeout,
     HeartbeatLost,
     IdentityMismatch,
@@ -450,6 +451,26 @@ def test_a_fault_reset_enables_nothing(machine: Machine) -> None:
     machine.group.start()
     machine.group.move({"slew": 0.2})
     assert machine.drive("slew").power is Power.OPERATION_ENABLED
+
+
+def test_a_machine_that_another_program_moves_is_left_alone(machine: Machine) -> None:
+    other = Cia402Group(machine.axes, machine.group._bus.config, machine.clock)
+
+    def start_beside() -> None:
+        began, here = machine.clock.now(), machine.drive("slide").motor_position()
+        with pytest.raises(HardwareError, match=r"slide: moves \(0\.25\d* to 0\.26\d* m within 0\.1 s\) .* another"):
+            other.start()
+        other.quick_stop()
+        other.close()
+        assert machine.clock.now() - began < 1.0
+        assert machine.drive("slide").motor_position() > here
+
+    machine.after(3.1, start_beside)
+    report = machine.group.move({"slide": 0.8})
+    assert report.positions["slide"] == pytest.approx(0.8, abs=1e-5)
+    other.start()  # what stands enabled may be what an earlier run has left
+    other.close()
+    assert machine.drive("slide").power is Power.SWITCH_ON_DISABLED
 
 
 def test_start_does_not_reset_a_fault_behind_the_operators_back(build: Callable[..., Machine]) -> None:
