@@ -3,7 +3,8 @@
     AA | u16 status | 6 × f32 | u32 timestamp | f32 °C | u16 CRC16-X25       little-endian, 37 bytes
 
 The CRC covers the 34 bytes between. After a bad CRC one byte is dropped, not the frame: an AA inside the data must not
-cost the frame that begins in its shadow. Status bits: 0 overrun, 1 overrange, 2 invalid, 3 raw (uncalibrated).
+cost the frame that begins in its shadow. Status bits: 0 overrun, 1 overrange, 2 invalid, 3 raw (uncalibrated). The time
+stamp counts microseconds and begins anew after 71 minutes.
 
 The sensor offers no serial number in this protocol, so check() can only say that it streams, and what.
 """
@@ -73,6 +74,35 @@ class BotaParser:
         return frames
 
 
+class _Pace:
+    """Whether frames come as they are measured. A backlog comes faster, by its time stamps: its frames are older than
+    those after it by as much, and whoever wants what is measured now begins anew with each that has caught up.
+
+    slack_s   what a line may bunch its frames
+    """
+
+    def __init__(self, name: str, clock: Clock, slack_s: float) -> None:
+        self._name, self._clock, self._slack = name, clock, slack_s
+        self._last: int | None = None
+        self._measured = 0.0  # s of the sensor's time since the first frame
+        self._lead = -math.inf
+
+    def begins_anew(self, frame: BotaFrame) -> bool:
+        """Raises InstrumentFault where the time stamp does not go on."""
+        if self._last is not None:
+            step = (frame.timestamp - self._last) % 2**32
+            if not 0 < step < 2**31:
+                stamps = f"time stamp {frame.timestamp} µs after {self._last} µs"
+                raise InstrumentFault(self._name, f"{stamps}: it repeats a frame, or has restarted")
+            self._measured += step * 1e-6
+        self._last = frame.timestamp
+        lead = self._measured - self._clock.now()
+        if lead <= self._lead + self._slack:
+            return False
+        self._lead = lead
+        return True
+
+
 class BotaSensor:
     """Implements ports.ForceSensor.
 
@@ -137,10 +167,13 @@ class BotaSensor:
         self._stream.close()
 
     def _fresh_frames(self, count: int) -> list[BotaFrame]:
-        """Frames sent after this call: the line is flushed, and what an adapter may still have held is skipped."""
+        """Frames measured after this call: the line is flushed, a backlog that a network still delivers is dropped, and
+        what an adapter may have held is skipped."""
         self._stream.flush()
         held = math.ceil(ADAPTER_LATENCY_S * self._rate) + 1
-        return self._stream.collect(BotaParser(), held + count, (held + count) / self._rate)[held:]
+        live = _Pace(self.name, self._clock, held / self._rate)
+        wanted = held + count
+        return self._stream.collect(BotaParser(), wanted, wanted / self._rate, FRAME_LENGTH, live.begins_anew)[held:]
 
     def _raise_for_status(self, frames: Sequence[BotaFrame]) -> None:
         def said(bit: int) -> int:

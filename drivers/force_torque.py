@@ -12,7 +12,7 @@ Sensor-specific: drivers/bota.py, drivers/gsv8.py. A sensor's numbers become a w
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -83,11 +83,17 @@ class SerialStream:
                     return
 
     def collect(
-        self, parser: Parser[Frame], wanted: int, expected_s: float = 0.0, at_once: int | None = None
+        self,
+        parser: Parser[Frame],
+        wanted: int,
+        expected_s: float = 0.0,
+        at_once: int | None = None,
+        begins: Callable[[Frame], bool] = lambda frame: False,
     ) -> list[Frame]:
         """The next `wanted` frames; they may take `expected_s` and the timeout, in real seconds.
 
         at_once  read no more than this many bytes at a time, for frames of unknown length that nothing may follow
+        begins   asked of each frame as it comes: whether to begin with this one, and to forget those before it
         """
         limit = self.timeout_s + expected_s
         deadline = time.monotonic() + limit
@@ -103,7 +109,10 @@ class SerialStream:
                 self.port.timeout = left
                 data = self.port.read(at_once or (wanted - len(frames)) * parser.frame_length)
             heard += len(data)
-            frames.extend(parser.feed(data))
+            for frame in parser.feed(data):
+                if begins(frame):
+                    frames, heard = [], 0
+                frames.append(frame)
         return frames[:wanted]
 
     def _shortfall(self, got: int, wanted: int, heard: int, when: str) -> HardwareTimeout | ProtocolError:

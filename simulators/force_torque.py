@@ -4,10 +4,12 @@ The world says what wrench the payload applies; a sensor adds Gaussian noise fro
 
 A stream is a function of the clock: `rate` frames a second fall due. In-process, what falls due between two visits of
 the host carries the wrench of the *earlier* visit, the worst case for a host that reads old frames; a host that goes on
-listening gets the next frames at once, with time stamps ahead of the clock by the milliseconds they would take. On a
-line with a thread the frames are those of the moment, some milliseconds late, and at most BURST of them at a time.
+listening gets the next frames at once, with time stamps of this moment, a microsecond apart: no time passes while it
+listens. On a line with a thread the frames are those of the moment, some milliseconds late, and at most BURST of them
+at a time.
 
-Faults, besides those of the line: overrange(), invalid(), raw(), recover(), refuse (a command letter or code).
+Faults, besides those of the line: overrange(), invalid(), raw(), hang() (a Bota: one frame again and again), recover(),
+refuse (a command letter or code).
 
 Known limitations: no filter delay, no temperature drift, no creep; settings other than the frame rate are accepted and
 have no effect.
@@ -112,6 +114,8 @@ class SimulatedBota(_Sensor):
         self._heard = ""
         self.refuse = ""
         self.temperature_c = 31.0
+        self._stamp = 0  # µs
+        self._hung: bytes | None = None
         super().__init__(
             world, clock, seed=seed, force_sigma=force_sigma, moment_sigma=moment_sigma, rate=rate
         )
@@ -125,11 +129,17 @@ class SimulatedBota(_Sensor):
     def raw(self) -> None:
         self._status |= 8
 
+    def hang(self) -> None:
+        self._hung = self._frame(np.asarray(self._world.wrench(), dtype=float), self._clock.now())
+
     def recover(self) -> None:
-        self._status = 0
+        self._status, self._hung = 0, None
 
     def _frame(self, wrench: Array, seconds: float) -> bytes:
-        body = struct.pack("<H6fIf", self._status, *wrench, int(seconds * 1e6) % 2**32, self.temperature_c)
+        if self._hung is not None:
+            return self._hung
+        self._stamp = max(self._stamp + 1, int(min(seconds, self._clock.now()) * 1e6))
+        body = struct.pack("<H6fIf", self._status, *wrench, self._stamp % 2**32, self.temperature_c)
         return b"\xaa" + body + struct.pack("<H", crc_x25(body))
 
     def _hear(self, data: bytes) -> None:

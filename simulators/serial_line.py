@@ -222,6 +222,10 @@ class _Carrier:
     def _run(self) -> None:
         raise NotImplementedError
 
+    def _held_back(self, said: bytes) -> bytes:
+        """What of it goes on its way now."""
+        return said
+
     def _carry(self, fd: int) -> None:
         """Until the host hangs up, the device is unplugged, or the line is closed."""
         while self._device.plugged and not self._stop.is_set():
@@ -231,21 +235,37 @@ class _Carrier:
                 if not heard:
                     return
                 self._device.receive(heard)
-            said = self._device.due()
+            said = self._held_back(self._device.due())
             if said:
                 with contextlib.suppress(BlockingIOError):  # the host does not listen: lost, as on a UART
                     os.write(fd, said)
 
 
 class TcpLine(_Carrier):
-    """A serial-to-Ethernet server with the device behind it; `port` 0 takes a free one."""
+    """A serial-to-Ethernet server with the device behind it; `port` 0 takes a free one.
+
+    Fault: hold() keeps what the device says, the oldest BUFFER bytes of it, until let_go().
+    """
 
     def __init__(self, device: Device, port: int = 0, host: str = "127.0.0.1") -> None:
         super().__init__(device, f"tcp-line-{port}")
+        self._holds = False
+        self._backlog = b""
         self._listener = socket.create_server((host, port))
         self._listener.settimeout(0.05)
         self.url = f"socket://{host}:{self._listener.getsockname()[1]}"
         self._thread.start()
+
+    def hold(self) -> None:
+        self._holds = True
+
+    def let_go(self) -> None:
+        self._holds = False
+
+    def _held_back(self, said: bytes) -> bytes:
+        kept = (self._backlog + said)[:BUFFER] if self._holds or self._backlog else said
+        self._backlog = kept if self._holds else b""
+        return b"" if self._holds else kept
 
     def close(self) -> None:
         super().close()

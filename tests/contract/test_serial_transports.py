@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -130,6 +131,20 @@ def test_a_sensor_that_is_unplugged_is_named(kind: str, plug: Plug, world: World
         time.sleep(0.12)
         with pytest.raises(LineLost, match="force sensor: lost the port"):
             sensor.read()
+
+
+def test_a_backlog_that_a_network_delivers_late_is_not_read(world: World, clock: WallClock) -> None:
+    """The line is quiet when a reading begins; then come the oldest 4 kB of what nobody took, 110 frames of 1.25 ms."""
+    device = SimulatedBota(world, clock)
+    with TcpLine(device) as line, contextlib.closing(BotaSensor(line.url, clock, sinc_length=64)) as sensor:
+        sensor.start()
+        sensor.read()
+        for load in (-1500.0, 0.0, -700.0):
+            line.hold()
+            time.sleep(0.2)
+            world.load = np.array([0.0, load, 0.0, 0.0, 0.0, 0.0])
+            threading.Timer(0.004, line.let_go).start()
+            assert sensor.read().wrench[1] == pytest.approx(load, abs=1.0)
 
 
 def test_a_serial_port_that_somebody_has_is_refused_until_it_is_given_back(world: World, clock: WallClock) -> None:

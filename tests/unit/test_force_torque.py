@@ -195,6 +195,25 @@ def test_bota_frames_marked_invalid_or_raw_are_a_fault(bota: BotaSensor, bota_de
         bota.read()
 
 
+def test_a_bota_that_hangs_is_a_fault_and_no_load(bota: BotaSensor, bota_device: SimulatedBota) -> None:
+    bota_device.hang()
+    with pytest.raises(InstrumentFault, match=r"force sensor: time stamp \d+ µs after \d+ µs: it repeats a frame"):
+        bota.read()
+    with pytest.raises(InstrumentFault, match="it repeats a frame"):
+        bota.check()
+    bota_device.recover()
+    assert bota.read().samples == 32
+
+
+def test_a_time_stamp_that_begins_anew_after_71_minutes_is_no_fault(
+    bota: BotaSensor, clock: SteppedClock, couch: Couch
+) -> None:
+    clock.sleep(2**32 / 1e6 - clock.now() - 0.1)
+    for _ in range(20):
+        assert bota.read().wrench == pytest.approx(PATIENT, abs=1.0)
+        clock.sleep(0.01)
+
+
 def test_a_bota_that_refuses_its_configuration_says_which_command(
     bota_device: SimulatedBota, clock: SteppedClock
 ) -> None:
