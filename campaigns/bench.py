@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ports import Atmosphere, AxisGroup, Clock, DeviceInfo, ForceSensor, Thermometer, Tracker
+from drivers.ports import Atmosphere, AxisGroup, Clock, DeviceInfo, ForceSensor, Thermometer, Tracker, WallClock
 from ppshw import kinematics
 from ppshw.errors import HardwareError
 from ppshw.machine import Machine
@@ -46,6 +47,7 @@ class Bench:
     notes: Mapping[str, str] = field(default_factory=dict)
     homed: tuple[str, ...] = field(default=(), init=False)
     _started: bool = field(default=False, init=False)
+    _until_closed: ExitStack = field(default_factory=ExitStack, init=False)
 
     def __enter__(self) -> Bench:
         return self
@@ -53,7 +55,8 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        with uninterrupted():  # a second Ctrl-C must not leave motors on behind it
+        # a second Ctrl-C must not leave motors on behind it
+        with self._until_closed, uninterrupted():
             try:
                 self.stop()
             finally:
@@ -100,6 +103,8 @@ class Bench:
         if reset_faults:
             self.axes.reset_faults()
         self._started = True
+        if isinstance(self.clock, WallClock):  # a machine simulated in this process is suspended with it
+            self._until_closed.enter_context(not_suspended())
         self.homed = tuple(self.axes.start())
 
     def temperatures(self) -> dict[str, float]:
@@ -149,6 +154,24 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for s, handler in before.items():
             signal.signal(s, handler)
+
+
+@contextmanager
+def not_suspended() -> Iterator[None]:
+    """Ctrl-Z is refused with a word meanwhile: axes would travel on and nobody watch them. Windows has none."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGTSTP"):
+        yield
+        return
+    before = signal.signal(signal.SIGTSTP, _refuse)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTSTP, before)
+
+
+def _refuse(*_: object) -> None:
+    with suppress(OSError):  # past Python's own stream, in whose midst the signal may have come
+        os.write(2, b"\nppshw: not suspended: nobody would watch the axes. Ctrl-C stops them\n")
 
 
 def nominal_aim(machine: Machine, tracker_in_base: Array) -> Aim:

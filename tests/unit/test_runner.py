@@ -21,7 +21,7 @@ from campaigns.operator import Answer, AutomaticOperator, Command, ConsoleOperat
 from campaigns.plan import Plan, plan_campaign
 from campaigns.runner import Progress, run_campaign
 from campaigns.script import LoadCase, load_script
-from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WrenchReading
+from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WallClock, WrenchReading
 from ppshw.errors import (
     BeamLost,
     CompensationRefused,
@@ -322,6 +322,30 @@ def test_while_it_stops_and_closes_nobody_interrupts(situation: Situation, reque
         situation.run()
     assert situation.tracker.closed
     assert signal.getsignal(request_to_end) is before
+
+
+def test_ctrl_z_does_not_suspend_a_program_that_has_started_axes(
+    situation: Situation, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTSTP)
+    bench = situation.bench()
+    bench.clock = WallClock()
+    with bench:
+        bench.check()
+        assert signal.getsignal(signal.SIGTSTP) is before
+        bench.start_axes()
+        assert signal.getsignal(signal.SIGTSTP) is not before  # else what follows suspends the tests
+        os.kill(os.getpid(), signal.SIGTSTP)
+        assert "not suspended: nobody would watch the axes. Ctrl-C stops them" in capfd.readouterr().err
+        assert situation.axes.stops == 0
+    assert signal.getsignal(signal.SIGTSTP) is before
+
+
+def test_a_machine_simulated_in_this_process_may_be_suspended_with_it(situation: Situation) -> None:
+    before = signal.getsignal(signal.SIGTSTP)
+    with situation.bench() as bench:
+        bench.start_axes()
+        assert signal.getsignal(signal.SIGTSTP) is before
 
 
 def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Situation) -> None:
