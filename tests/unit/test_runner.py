@@ -597,17 +597,19 @@ def test_closing_goes_through_every_device_even_when_one_fails(situation: Situat
 
 def test_the_operator_answers_with_name_and_mass_at_the_console() -> None:
     out = io.StringIO()
-    console = ConsoleOperator(io.StringIO("\nAnn 148.5\n\nabort\n"), out)
+    console = ConsoleOperator(io.StringIO("\nAnn 148.5\ny\n\nabort\n"), out)
     assert console.change_load(BOX) == Answer("Ann", 148.5)  # the empty line had no name to fall back on
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     assert "put on 'box': 150 kg" in out.getvalue()
+    assert "A name is needed." in out.getvalue()
+    assert "148.5 kg instead of 150 kg" in out.getvalue()
     with pytest.raises(Stopped, match="at the change to load box"):
         console.change_load(BOX)
     with pytest.raises(Stopped, match="nobody answers"):
         console.change_load(BOX)
 
 
-@pytest.mark.parametrize("letter", ["a", "A", "abort"])
+@pytest.mark.parametrize("letter", ["a", "A", "abort", "Abort!"])
 def test_an_abort_at_a_load_change_is_no_name(letter: str) -> None:
     console = ConsoleOperator(io.StringIO(f"{letter}\n\n"), io.StringIO())
     with pytest.raises(Stopped, match="at the change to load box"):
@@ -619,6 +621,47 @@ def test_the_other_commands_are_no_names_at_a_load_change() -> None:
     console = ConsoleOperator(io.StringIO("s\ng\nr\np\nAnn\n"), out)
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     assert out.getvalue().count("is no name") == 4
+
+
+@pytest.mark.parametrize("typed", [
+    "stop", "Stop!", "pause", "wait", "no", "quit", "skip", "please wait", "ok", "x", "?", "--", "kg", "Ann inf",
+])  # fmt: skip
+def test_who_says_something_else_than_a_name_does_not_set_the_machine_in_motion(typed: str) -> None:
+    out = io.StringIO()
+    console = ConsoleOperator(io.StringIO(f"Ann\n{typed}\nabort\n"), out)
+    console.change_load(BOX)
+    with pytest.raises(Stopped, match="at the change to load box"):
+        console.change_load(BOX)
+    assert "is no name; to stop type 'abort'" in out.getvalue()
+
+
+@pytest.mark.parametrize("typed", ["Ann 1e9", "Ann 148 lb", "Ann -5", "148 Ann", "Ann 140 148", "Ann " + "9" * 400])
+def test_a_mass_that_is_not_understood_is_no_part_of_a_name(typed: str) -> None:
+    out = io.StringIO()
+    with pytest.raises(Stopped):
+        ConsoleOperator(io.StringIO(f"{typed}\nabort\n"), out).change_load(BOX)
+    assert "is not understood; expected a name, then a mass such as 148.5 kg" in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [
+        ("Ann 148 kg\ny\n", Answer("Ann", 148.0)),
+        ("Ann 148kg\ny\n", Answer("Ann", 148.0)),
+        ("Ann 148,5\nmaybe\nyes\n", Answer("Ann", 148.5)),
+        ("Anne-Marie O'Neil, 150\n", Answer("Anne-Marie O'Neil", 150.0)),
+        ("148\nAnn\ny\n", Answer("Ann", 148.0)),  # a mass that was said stays while the name is asked for
+        ("Ann 1485\nn\n148.5\ny\n", Answer("Ann", 148.5)),
+        ("Ann 1485\nn\n\n", Answer("Ann", 150.0)),
+    ],
+)
+def test_a_mass_is_read_as_it_is_written_and_asked_back_where_it_is_another(typed: str, answer: Answer) -> None:
+    assert ConsoleOperator(io.StringIO(typed), io.StringIO()).change_load(BOX) == answer
+
+
+def test_an_abort_is_one_also_where_a_mass_is_asked_back() -> None:
+    with pytest.raises(Stopped, match="at the change to load box"):
+        ConsoleOperator(io.StringIO("Ann 1485\nabort\n"), io.StringIO()).change_load(BOX)
 
 
 class Terminal:
@@ -635,7 +678,7 @@ class Terminal:
         assert select.select([self.lines], [], [], 5.0)[0]
 
     def write(self, text: str) -> int:
-        if "Enter when done" in text:
+        if "Enter when done" in text or "y or n" in text:
             self.type(self.answers.pop(0))
         self.shown += text
         return len(text)
@@ -657,7 +700,7 @@ def terminal() -> Iterator[Terminal]:
 
 def test_what_was_typed_before_a_load_change_is_no_answer_to_it(terminal: Terminal) -> None:
     console = ConsoleOperator(terminal.lines, terminal)  # type: ignore[arg-type]
-    terminal.answers = ["Ann\n", "Bob 148\n"]
+    terminal.answers = ["Ann\n", "Bob 148\n", "y\n"]
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     terminal.type("\n\nhalf a li")
     assert console.change_load(BOX) == Answer("Bob", 148.0)
