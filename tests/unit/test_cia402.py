@@ -282,6 +282,27 @@ def test_a_node_that_falls_silent_at_rest_is_missed(machine: Machine) -> None:
         machine.group.raise_if_faulty()
 
 
+def test_a_node_whose_heartbeat_alone_has_ended_is_missed_at_rest(machine: Machine) -> None:
+    machine.clock.sleep(2.0)
+    machine.group.positions()
+    machine.drive("lift").end_heartbeat()
+    machine.clock.sleep(2.0)
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.positions()  # it answers SYNC: no silence of the other kind
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.raise_if_faulty()
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_node_whose_heartbeat_alone_ends_under_way_stops_the_others(machine: Machine) -> None:
+    machine.after(2.0, machine.drive("lift").end_heartbeat)
+    began = machine.clock.now()
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.move({"slide": 1.0})  # 11 s; a heartbeat counts as lost after 1.5 s
+    assert machine.clock.now() - began < 5.0
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
 def test_a_node_that_falls_silent_under_way_stops_the_others(machine: Machine) -> None:
     machine.after(2.0, machine.drive("slew").go_silent)
     with pytest.raises(HeartbeatLost, match=r"slew: no process data within 0\.5 s of SYNC"):
@@ -429,17 +450,45 @@ def test_a_speed_that_whole_drive_units_would_make_much_faster_is_refused(build:
         build(coarse).group.start()
 
 
-def test_a_fault_is_reset_when_the_drive_s_reaction_to_it_has_ended(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
+def test_a_fault_is_reset_when_the_drive_s_reaction_to_it_has_ended(build: Callable[..., Machine]) -> None:
+    """During the reaction the edge is lost."""
+    m = build(reaction_s=0.5)
+    m.group.start()
+    m.drive("lift").trip(0x2310)
+    assert m.drive("lift").power is Power.FAULT_REACTION_ACTIVE
+    m.group.reset_faults()
+    assert m.drive("lift").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_fault_reaction_that_does_not_end_is_no_reset(build: Callable[..., Machine]) -> None:
+    m = build(reaction_s=60.0)
+    m.drive("lift").trip(0x2310)
+    with pytest.raises(HardwareTimeout, match="lift: still FAULT REACTION ACTIVE 2 s after its fault"):
+        m.group.reset_faults()
+
+
+@pytest.mark.parametrize("missing", [(), (0x1014,)])  # 0x1014: drives without it send no emergency
+def test_a_drive_that_still_reacts_to_its_fault_says_why(
+    build: Callable[..., Machine], missing: tuple[int, ...]
 ) -> None:
-    """During the reaction the edge is lost; the simulated drive has none, so its states are put in by hand."""
-    axis = machine.group.axis("lift")
-    said = [State.FAULT_REACTION_ACTIVE] * 3 + [State.FAULT] * 2 + [State.SWITCH_ON_DISABLED] * 3
-    resets = []
-    monkeypatch.setattr(axis, "state", lambda: said.pop(0))
-    monkeypatch.setattr(axis.sdo, "write", lambda entry, value: resets.append(said[0]) if value == 0x80 else None)
-    axis.reset_fault()
-    assert resets == [State.FAULT]
+    m = build(reaction_s=30.0, missing=missing)
+    m.group.start()
+    m.after(3.0, lambda: m.drive("lift").trip(0x2310))
+    with pytest.raises(DriveFault, match="lift: drive fault 0x2310, continuous overcurrent on the motor side"):
+        m.group.move({"slide": 1.0, "lift": 1.0})
+    assert m.drive("lift").power is Power.FAULT_REACTION_ACTIVE
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_drive_that_keeps_its_error_code_until_the_reaction_has_ended_is_faulty_all_the_same(
+    build: Callable[..., Machine],
+) -> None:
+    m = build(reaction_s=30.0, missing=(0x1014,))
+    m.group.start()
+    m.drive("lift").lie_about(0x603F, 0)
+    m.drive("lift").trip(0x2310)
+    with pytest.raises(DriveFault, match="lift: drive fault without a code, error register 0x1"):
+        m.group.raise_if_faulty()
 
 
 def test_a_fault_reset_enables_nothing(machine: Machine) -> None:
