@@ -57,6 +57,7 @@ class SimulatedDrive(CanopenNode):
     start       where the motor stands at power-up, in the motor's own absolute counts
     absolute    the encoder knows its absolute position; an incremental one reads 0 at power-up until it is homed
     home_at     absolute position of the home switch
+    home_offset_sense  1: zero = home + 0x607C, as CiA 402 has it; -1: home = zero + 0x607C, as some makers have it
     lag_s       the motor follows the demand this much later
     reaction_s  how long its reaction to a fault takes, in which it heeds no command
     missing     objects this model does not have
@@ -73,6 +74,7 @@ class SimulatedDrive(CanopenNode):
         start: float = 0.0,
         absolute: bool = True,
         home_at: float = 0.0,
+        home_offset_sense: int = 1,
         lag_s: float = 0.002,
         reaction_s: float = 0.0,
         missing: Collection[int] = (),
@@ -84,6 +86,7 @@ class SimulatedDrive(CanopenNode):
         self.starts: list[float] = []  # when each profile-position motion began
         self.targets: list[float] = []  # and where to, in the motor's absolute counts
         self._absolute, self._home_at, self._lag, self._modes = absolute, home_at, lag_s, modes
+        self._home_offset_sense = home_offset_sense
         self._reaction, self._reacts_until = reaction_s, 0.0
         self._motions = [motion.at_rest(start)]  # the one before the last is still needed for the lag
         self._stuck_at: float | None = None
@@ -324,7 +327,7 @@ class SimulatedDrive(CanopenNode):
         error = abs(self._demand(now) - self.position(now))
         if self._homing and at_rest and error == 0:
             self._homing, self._homed = False, True
-            self._origin = self._home_at - self.value(0x607C)
+            self._origin = self._home_at + self._home_offset_sense * self.value(0x607C)
         if abs(last.target - self.position(now)) > self.value(0x6067):
             self._reached_since = None
         elif self._reached_since is None:
