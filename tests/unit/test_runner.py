@@ -26,6 +26,7 @@ from ppshw.errors import (
     BeamLost,
     CompensationRefused,
     DriveFault,
+    FollowingError,
     HardwareError,
     HeartbeatLost,
     InstrumentFault,
@@ -66,6 +67,8 @@ class FakeAxes:
         self.fell_over: tuple[int, HardwareError] | None = None  # while the tracker measured, after so many moves
         self.stop_error: BaseException | None = None
         self.silent_from = np.inf  # machine time from which a node is silent
+        self.slip, self.slips_from = 0.0, np.inf  # how far the first axis slips [m], and from which machine time on
+        self.homed = ["yaw"]
 
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
@@ -73,7 +76,7 @@ class FakeAxes:
     def start(self) -> list[str]:
         self.stops = 0
         self.started = True
-        return ["yaw"]
+        return self.homed
 
     def reset_faults(self) -> None:
         pass
@@ -88,7 +91,8 @@ class FakeAxes:
         return MoveReport(dict(self.at), approach, self.clock.now())
 
     def positions(self) -> dict[str, float]:
-        return {n: x + 1e-6 for n, x in self.at.items()}
+        slip = {self.names[0]: self.slip} if self.clock.now() >= self.slips_from else {}
+        return {n: x + 1e-6 + slip.get(n, 0.0) for n, x in self.at.items()}
 
     def raise_if_faulty(self) -> None:
         if self.clock.now() >= self.silent_from:
@@ -507,6 +511,87 @@ def test_an_axis_that_falls_silent_while_a_person_is_asked_stops_the_others_at_o
         situation.run(operator)
     assert "lift: no heartbeat. The axes are stopped, the run ends after your answer." in operator.told
     assert situation.events("fault") == ["lift: no heartbeat"]
+
+
+@pytest.mark.parametrize("wait", ["suspended", "settling"])
+def test_an_axis_that_slips_while_the_run_waits_is_noticed_within_a_second(tmp_path: Path, wait: str) -> None:
+    situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
+    if wait == "suspended":
+        situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+    situation.axes.slip, situation.axes.slips_from = -3e-3, 5.0
+    with pytest.raises(FollowingError, match=r"lateral: moved from .* to .* while it should stand"):
+        situation.run()
+    assert situation.clock.now() <= 6.0
+    assert situation.axes.stops > 0
+    assert situation.indices() == []
+
+
+def test_an_axis_that_slips_while_a_person_is_asked_is_noticed_then(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Loads(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            if load.name == "box":
+                situation.axes.slips_from = situation.clock.now()
+                noticed.append(situation.clock.utc().isoformat(timespec="milliseconds"))
+                assert told.wait(5.0)
+                situation.clock.sleep(900.0)  # the answer comes a quarter of an hour later
+            return super().change_load(load)
+
+        def tell(self, text: str) -> None:
+            super().tell(text)
+            told.set()
+
+    told, noticed = threading.Event(), list[str]()
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    situation.axes.slip = 3e-3
+    with pytest.raises(FollowingError, match="lateral: moved from"):
+        situation.run(Loads(situation))
+    with RecordingFile.open(situation.out) as file:
+        assert [time for time, kind, _, _ in file.events() if kind == "fault"] == noticed
+
+
+def test_an_axis_that_gives_way_under_the_load_is_no_slip(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Loads(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            situation.axes.slips_from = situation.clock.now()
+            threading.Event().wait(0.1)
+            situation.axes.slips_from = np.inf
+            return super().change_load(load)
+
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    situation.axes.slip = 1e-4
+    situation.run(Loads(situation))
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_resumed_run_says_which_axes_stand_elsewhere_than_at_the_last_visit(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    assert situation.events("moved") == []
+    situation.axes.trouble = None
+    was = situation.axes.at["lateral"] + 1e-6
+    situation.axes.at = {**situation.axes.at, "lateral": 0.0, "yaw": 0.0}  # an encoder without its battery; yaw homed
+    situation.axes.at["roll"] += 1e-4  # its brake gave way
+    operator = Scripted(situation)
+    situation.run(operator)
+    assert situation.events("moved") == [f"since the last visit axes have moved: lateral {was:.6g} → 1e-06 m"]
+    assert operator.told[0].startswith("Since the last visit axes have moved: lateral ")
+    assert operator.told[0].endswith("their zero is lost: then abort before they move again.")
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_resumed_run_whose_axes_stand_where_they_stood_says_nothing(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    situation.axes.trouble = None
+    operator = Scripted(situation)
+    situation.run(operator)
+    assert operator.told == []
 
 
 def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
