@@ -230,7 +230,7 @@ def _check_ports(top: Section, speed: float) -> None:
             if port.get("interface") == "virtual" or "channel" not in port:
                 continue
             path, port = f"{path}.channel", port["channel"]
-        if str(port) in named:
+        if str(port) in named and "://" not in str(port):  # a network port says so itself when it is taken
             section.fail(f"'{path}' is {port}, as is '{named[str(port)]}'; expected a port of its own", key)
         if speed != 1.0 and not str(port).startswith(SIMULATED):
             section.fail(f"'clock.speed' is {speed:g}, but '{path}' is {port}: only simulated hardware can hurry", key)
