@@ -98,20 +98,23 @@ class ConsoleOperator:
         what = "everything off the couch" if load.mass == 0 else _describe(load)
         self.tell(f"\nLoad change: {what}.")
         mass: float | None = None  # said already, while the name is still asked for
+        known = self._name
         while True:
-            known = f" [{self._name}]" if self._name else ""
-            line = self._ask(f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: ")
+            default = f" [{known}]" if known else ""
+            line = self._ask(f"Your name{default}, then the mass in kg if another; Enter when done, 'abort' to stop: ")
             if _is_abort(line):
                 raise Stopped(stopped)
             name, said, problem = _read_answer(line)
             if problem:
+                known = ""  # who wanted to stop and presses Enter again has not said that it is done
                 self.tell(f"{problem}; to stop type 'abort'. To pause, skip and redo there is time between two visits.")
                 continue
-            self._name, mass = name or self._name, mass if said is None else said
-            if not self._name:
+            known, mass = name or known, mass if said is None else said
+            if not known:
                 self.tell("A name is needed" + ("." if mass is None else f"; {mass:g} kg is noted."))
             elif mass in (None, load.mass) or self._confirmed(mass, load, stopped):
-                return Answer(self._name, load.mass if mass is None else mass)
+                self._name = known
+                return Answer(known, load.mass if mass is None else mass)
             else:
                 mass = None
 

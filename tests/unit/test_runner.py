@@ -713,7 +713,7 @@ def test_the_other_commands_are_no_names_at_a_load_change() -> None:
 ])  # fmt: skip
 def test_who_says_something_else_than_a_name_does_not_set_the_machine_in_motion(typed: str) -> None:
     out = io.StringIO()
-    console = ConsoleOperator(io.StringIO(f"Ann\n{typed}\nabort\n"), out)
+    console = ConsoleOperator(io.StringIO(f"Ann\n{typed}\n\nabort\n"), out)  # nor by an Enter after it
     console.change_load(BOX)
     with pytest.raises(Stopped, match="at the change to load box"):
         console.change_load(BOX)
