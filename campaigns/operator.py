@@ -7,6 +7,7 @@ plant, a loading rig) and answers at once. What was asked and answered goes into
 from __future__ import annotations
 
 import enum
+import re
 import select
 import sys
 from collections.abc import Callable
@@ -30,7 +31,13 @@ class Command(enum.Enum):
     ABORT = "a"
 
 
-_LETTERS = {command.value for command in Command}
+# What a person says who wants something else than to answer with a name. After a name the machine moves.
+_NO_NAMES = {
+    "abort", "again", "break", "cancel", "continue", "done", "exit", "finished", "go", "halt", "help", "inf", "kg",
+    "later", "no", "nothing", "ok", "okay", "pause", "quit", "ready", "redo", "resume", "retry", "skip", "start",
+    "stop", "wait", "yes",
+}  # fmt: skip
+_WITH_MASS = re.compile(r"(?P<name>.*?)(?:^|[\s,;:])(?P<mass>\d{1,6}(?:[.,]\d{1,6})?)\s*(?:kg)?\.?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -90,22 +97,35 @@ class ConsoleOperator:
             raise Stopped(stopped)
         what = "everything off the couch" if load.mass == 0 else _describe(load)
         self.tell(f"\nLoad change: {what}.")
+        mass: float | None = None  # said already, while the name is still asked for
+        known = self._name
         while True:
-            known = f" [{self._name}]" if self._name else ""
-            prompt = f"Your name{known}, then the mass in kg if another; Enter when done, 'abort' to stop: "
-            words = self._ask(prompt).split()
-            said = " ".join(words).lower()
+            default = f" [{known}]" if known else ""
+            line = self._ask(f"Your name{default}, then the mass in kg if another; Enter when done, 'abort' to stop: ")
+            if _is_abort(line):
+                raise Stopped(stopped)
+            name, said, problem = _read_answer(line)
+            if problem:
+                known = ""  # who wanted to stop and presses Enter again has not said that it is done
+                self.tell(f"{problem}; to stop type 'abort'. To pause, skip and redo there is time between two visits.")
+                continue
+            known, mass = name or known, mass if said is None else said
+            if not known:
+                self.tell("A name is needed" + ("." if mass is None else f"; {mass:g} kg is noted."))
+            elif mass in (None, load.mass) or self._confirmed(mass, load, stopped):
+                self._name = known
+                return Answer(known, load.mass if mass is None else mass)
+            else:
+                mass = None
+
+    def _confirmed(self, mass: float, load: LoadCase, stopped: str) -> bool:
+        """A mass is mistyped as easily as the wrong load is put on."""
+        while True:
+            said = self._ask(f"{mass:g} kg instead of {load.mass:g} kg: is that so? y or n: ").lower()
             if _is_abort(said):
                 raise Stopped(stopped)
-            if said in _LETTERS:
-                self.tell(f"'{said}' is no name; pausing, skipping and redoing are done between two visits.")
-                continue
-            mass: float | None = load.mass
-            if words and _is_number(words[-1]):
-                mass = float(words.pop())
-            self._name = " ".join(words) or self._name
-            if self._name:
-                return Answer(self._name, mass)
+            if said in ("y", "yes", "n", "no"):
+                return said[0] == "y"
 
     def command(self) -> Command | None:
         return self._parse(self._lines.readline()) if self._something_typed() else None
@@ -143,7 +163,7 @@ class ConsoleOperator:
 
     def _parse(self, line: str) -> Command | None:
         """A command by its letter or its word; anything else is none, and said to be none."""
-        said = line.strip().lower()
+        said = _bare(line)
         for command in Command:
             if said in (command.value, command.name.lower().replace("_", " ")):
                 return command
@@ -157,12 +177,25 @@ def _describe(load: LoadCase) -> str:
     return f"put on '{load.name}': {load.mass:g} kg, centre at ({x:g}, {y:g}, {z:g}) m on the couch"
 
 
+def _bare(text: str) -> str:
+    """Without what somebody adds who means it."""
+    return text.strip().strip("!.'\"").lower()
+
+
 def _is_abort(line: str) -> bool:
-    return line.strip().lower() in (Command.ABORT.value, "abort")
+    return _bare(line) in (Command.ABORT.value, "abort")
 
 
-def _is_number(word: str) -> bool:
-    try:
-        return float(word) >= 0.0
-    except ValueError:
-        return False
+def _read_answer(line: str) -> tuple[str, float | None, str]:
+    """The name, the mass [kg], and why the line is no answer ("" where it is one): "Ann", "148,5", "Ann 148 kg"."""
+    found = _WITH_MASS.fullmatch(line)
+    name, mass = (line, None) if found is None else (found["name"], float(found["mass"].replace(",", ".")))
+    words = name.strip(",;: ").split()
+    if any(letter.isdigit() for letter in name):
+        return "", None, f"'{line}' is not understood; expected a name, then a mass such as 148.5 kg"
+    if len(words) == 1 and len(words[0]) == 1 and words[0].isascii():
+        return "", None, f"'{words[0]}' is no name"
+    for word in words:
+        if _bare(word) in _NO_NAMES or not any(letter.isalpha() for letter in word):
+            return "", None, f"'{word}' is no name"
+    return " ".join(words), mass, ""

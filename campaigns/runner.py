@@ -29,6 +29,7 @@ from ppshw.errors import (
     BeamLost,
     CampaignError,
     CompensationRefused,
+    FollowingError,
     HardwareError,
     PpshwError,
     RecordingError,
@@ -45,6 +46,7 @@ Array = NDArray[np.float64]
 # machine moves.
 SetpointMap = Callable[[Array, Array, Array, Around], Array]
 LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
+SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess)
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 _LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
 
@@ -109,6 +111,7 @@ class _Run:
         self._map, self._map_label, self._progress = setpoint_map, map_label, progress
         self._joints = plan.machine.joint_names
         self._load: str | None = None
+        self._noticed: str | None = None  # when trouble was noticed, where it is raised later
         self._measured = 0
         self._lost = 0
 
@@ -131,6 +134,7 @@ class _Run:
                     note["site"] = self._bench.notes.get("site", "")
                     self._operator.tell("The site file is another than the recording was begun with; both are kept.")
                 self._log(file, "start", "resumed" if existing else "started", note)
+                self._say_what_moved(file)
                 return self._visits(file)
         except KeyboardInterrupt:
             self._bench.stop()
@@ -154,6 +158,25 @@ class _Run:
                 why = f"no column for the temperature of {missing}"
             raise RecordingError(f"{self._out}: cannot be continued: {why}")
         return file
+
+    def _say_what_moved(self, file: RecordingFile) -> None:
+        """Since the last visit, for the operator to judge: a move that was broken off or somebody who moved the machine
+        is no reason to refuse, but a drive that lost its zero says no more than this. Axes that were homed stand on
+        their switch."""
+        before, now = _last_positions(file, self._joints), self._bench.axes.positions()
+        moved = {
+            j: (before[j], now[j]) for j in before if j not in self._bench.homed and abs(now[j] - before[j]) > SLIP
+        }
+        if not moved:
+            return
+        units = {joint.name: joint.unit for joint in self._plan.machine.joints}
+        text = "; ".join(f"{j} {was:.6g} → {now:.6g} {units[j]}" for j, (was, now) in moved.items())
+        text = f"since the last visit axes have moved: {text}"
+        self._log(file, "moved", text, {j: list(both) for j, both in moved.items()})
+        self._operator.tell(
+            f"{text[0].upper()}{text[1:]}. Unless a move was broken off or somebody moved them, their zero is lost: "
+            "then abort before they move again."
+        )
 
     def _places(self) -> list[str]:
         places = list(self._bench.temperatures())
@@ -220,7 +243,7 @@ class _Run:
         commanded = self._corrected(visit, wanted)
         report = bench.axes.move(dict(zip(self._joints, commanded.tolist(), strict=True)))
         rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
-        self._wait(rest)
+        self._wait(rest, report.positions)
         settled_s, time = bench.clock.now() - report.ended_at, self._now()
         q = bench.axes.positions()
         shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
@@ -301,7 +324,7 @@ class _Run:
         window = self._plan.script.temperature
         if window is None:
             return None
-        suspended = False
+        suspended, at = False, self._bench.axes.positions()
         while True:
             outside = {p: t for p, t in self._bench.temperatures().items() if not window[0] <= t <= window[1]}
             if not outside:
@@ -321,7 +344,7 @@ class _Run:
                 if command is not Command.PAUSE:  # else the end of the pause says it
                     self._log(file, "released", f"operator: {wanted.name.lower()}")
                 return wanted
-            self._wait(SUSPENDED_FOR_S)
+            self._wait(SUSPENDED_FOR_S, at)
 
     def _obey(self, file: RecordingFile, command: Command | None, visit: Visit, last: Visit | None) -> Command | None:
         """Returns SKIP or REDO where that is to be done, None where the run goes on."""
@@ -343,25 +366,35 @@ class _Run:
             self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.index + 1}.")
         return None
 
-    def _wait(self, seconds: float) -> None:
+    def _wait(self, seconds: float, at: Mapping[str, float]) -> None:
+        """The axes stand `at` meanwhile [m or rad]."""
         clock = self._bench.clock
         end = clock.now() + seconds
         while (left := end - clock.now()) > 0:
             clock.sleep(min(left, LOOK_S))
-            self._bench.axes.raise_if_faulty()
+            self._require_held(at)
+
+    def _require_held(self, at: Mapping[str, float]) -> None:
+        """More is allowed than at a measurement: people load the machine."""
+        self._bench.axes.raise_if_faulty()
+        for joint, now in self._bench.axes.positions().items():
+            if abs(now - at[joint]) > SLIP:
+                raise FollowingError(joint, f"moved from {at[joint]:.6g} to {now:.6g} while it should stand")
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
         """Looks at the axes while a person is asked, who may take an hour. By real time: machine time that is stepped
         stands still meanwhile. What is found stops the axes at once, and is raised when the person has answered."""
         answered, found = threading.Event(), list[Exception]()
+        at = self._bench.axes.positions()
 
         def watch() -> None:
             while not answered.wait(LOOK_S):
                 try:
-                    self._bench.axes.raise_if_faulty()
+                    self._require_held(at)
                 except Exception as error:
                     self._bench.axes.quick_stop()
+                    self._noticed = self._now()
                     found.append(error)
                     self._operator.tell(f"{error}. The axes are stopped, the run ends after your answer.")
                     return
@@ -379,7 +412,8 @@ class _Run:
     def _log_trouble(self, file: RecordingFile, error: BaseException, visit: Visit | None) -> None:
         data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}
         if isinstance(error, HardwareError):
-            self._log(file, "fault", str(error), {**data, "device": error.device, "cause": error.cause})
+            note = {**data, "device": error.device, "cause": error.cause}
+            file.log(self._noticed or self._now(), "fault", str(error), note)
         else:
             self._log(file, "stopped", str(error) or "interrupted", data)
 
@@ -464,6 +498,12 @@ def _to_redo(file: RecordingFile) -> set[int]:
 
 def _skipped(file: RecordingFile) -> set[int]:
     return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
+
+
+def _last_positions(file: RecordingFile, joints: tuple[str, ...]) -> dict[str, float]:
+    header, rows = file.table()
+    last = dict(zip(header, rows[-1], strict=True)) if rows else {}
+    return {j: float(q) for j in joints if (q := last.get(f"q_{j}"))}
 
 
 def _last_time_and_missing(file: RecordingFile, places: list[str]) -> tuple[str, str]:

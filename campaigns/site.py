@@ -22,7 +22,27 @@ from campaigns.remote_operator import put_on_by_line
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
 from drivers.bota import BotaSensor
-from drivers.canopen_bus import BusConfig
+from drivers.canopen_bus import BusConfig, Entry
+from drivers.cia402_objects import (
+    ACCELERATION,
+    CONSUMER_HEARTBEAT,
+    CONTROLWORD,
+    DECELERATION,
+    FOLLOWING_TIME,
+    FOLLOWING_WINDOW,
+    HOME_OFFSET,
+    HOMING_FAST,
+    HOMING_METHOD,
+    HOMING_SLOW,
+    LIMIT_HIGH,
+    LIMIT_LOW,
+    MODE,
+    POSITION_TIME,
+    POSITION_WINDOW,
+    PRODUCER_HEARTBEAT,
+    TARGET,
+    VELOCITY,
+)
 from drivers.geocom import GeoComTracker
 from drivers.gsv8 import Gsv8Sensor
 from drivers.ports import Atmosphere, Clock, ForceSensor, Thermometer, Tracker, WallClock
@@ -36,6 +56,15 @@ from ppshw.transforms import from_xyz_rpy
 Array = NDArray[np.float64]
 # A device of the site, made when the bench is opened: (clock, what a port's name stands for) → driver.
 Ports = Mapping[str, Port]
+# Real seconds between which each time of the bus makes sense: milliseconds in their place would switch supervision off.
+BUS_TIMES = {
+    "sync_period": (1e-3, 0.2), "poll_period": (0.01, 1.0), "heartbeat_period": (0.01, 3.0),
+    "answer_timeout": (0.02, 5.0), "sdo_timeout": (0.02, 5.0),
+}  # fmt: skip
+LONGEST_SILENCE_S, BEATS = 10.0, 2.0  # heartbeat_timeout: at most so long, at least so many periods
+WIDEST_WINDOW, WIDEST_FOLLOWING = 1e-3, 0.1  # m or rad; what is to be calibrated to tenths of a millimetre
+HOME_BEYOND = 0.1  # of the travel: so far beyond a limit a home switch may be
+SIMULATED = ("socket://127.0.0.1:", "socket://localhost:", "loopback:")
 
 
 @dataclass(frozen=True)
@@ -75,14 +104,15 @@ def load_site(path: Path | str, machine: Machine | None = None) -> Site:
     named = top.text("machine")
     machine = machine or load_machine(path.parent / named)
     clock = _clock(top)
+    bus = _bus(top, clock[0])
     tracker_section = top.need("tracker")
     pose = _rough_pose(tracker_section, machine)
     air, temperature_from = _air(tracker_section)
     site = Site(
         name=top.text("name"),
         machine=machine,
-        bus=_bus(top),
-        axes=_axes(top, machine),
+        bus=bus,
+        axes=_axes(top, machine, bus.host_node_id),
         make_tracker=_tracker(tracker_section),
         make_force_sensor=_force_sensor(top),
         make_thermometers=tuple(_thermometer(s, path.parent) for s in top.sections("thermometers", optional=True)),
@@ -97,6 +127,7 @@ def load_site(path: Path | str, machine: Machine | None = None) -> Site:
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
     tracker_section.done()
+    _check_ports(top, clock[0])
     top.done()
     return site
 
@@ -166,35 +197,66 @@ def _clock(top: Section) -> tuple[float, float | None]:
     return speed, epoch
 
 
-def _bus(top: Section) -> BusConfig:
+def _bus(top: Section, speed: float) -> BusConfig:
     section = top.need("can")
     given = section.plain("bus")
     if not isinstance(given, dict) or not all(isinstance(key, str) for key in given):
         section.fail("'can.bus' must hold python-can's own arguments: interface, channel, bitrate, …", "bus")
-    names = ("sync_period", "poll_period", "heartbeat_period", "heartbeat_timeout", "answer_timeout", "sdo_timeout")
-    times = {n: section.number(n, low=1e-4) for n in names if n in section}
+    hurry = max(1.0, speed)
+    times = {
+        name: section.number(name, low=low, high=high * hurry)
+        for name, (low, high) in BUS_TIMES.items()
+        if name in section
+    }
+    beat = times.get("heartbeat_period", BusConfig.heartbeat_period)
+    times["heartbeat_timeout"] = section.number(
+        "heartbeat_timeout", max(BusConfig.heartbeat_timeout, 3 * beat), BEATS * beat, LONGEST_SILENCE_S * hurry
+    )
     host = section.integer("host_node_id", low=1, high=127) if "host_node_id" in section else None
     config = BusConfig(given, host_node_id=host, **times)
     section.done()
     return config
 
 
-def _axes(top: Section, machine: Machine) -> tuple[AxisConfig, ...]:
+def _check_ports(top: Section, speed: float) -> None:
+    """Each is a port of its own; time is hurried for simulated hardware only."""
+    named: dict[str, str] = {}
+    for name, key in (("can", "bus"), ("tracker", "port"), ("force_sensor", "port"), ("operator", "port")):
+        section = top.section(name, optional=True)
+        if section is None or key not in section:
+            continue
+        path, port = section.path(key), section.plain(key)
+        if key == "bus":
+            if port.get("interface") == "virtual" or "channel" not in port:
+                continue
+            path, port = f"{path}.channel", port["channel"]
+        if str(port) in named and "://" not in str(port):  # a network port says so itself when it is taken
+            section.fail(f"'{path}' is {port}, as is '{named[str(port)]}'; expected a port of its own", key)
+        if speed != 1.0 and not str(port).startswith(SIMULATED):
+            section.fail(f"'clock.speed' is {speed:g}, but '{path}' is {port}: only simulated hardware can hurry", key)
+        named[str(port)] = path
+
+
+def _axes(top: Section, machine: Machine, host: int | None) -> tuple[AxisConfig, ...]:
     section = top.need("axes")
-    axes = [_axis(section.need(joint.name), joint, section) for joint in machine.joints]
+    axes = [_axis(section.need(joint.name), joint, section, host) for joint in machine.joints]
     section.done()
     nodes = [axis.node_id for axis in axes]
     for axis in axes:
         if nodes.count(axis.node_id) > 1:
             section.fail(f"axis {axis.name}: node {axis.node_id} is given to two axes", axis.name)
+        if axis.node_id == host:
+            section.fail(f"'can.host_node_id' is {host}, the node of axis {axis.name}; expected another", axis.name)
     return tuple(axes)
 
 
-def _axis(s: Section, joint: Joint, axes: Section) -> AxisConfig:
+def _axis(s: Section, joint: Joint, axes: Section, host: int | None) -> AxisConfig:
     """Limits and speeds are the machine file's; the site may be slower, never faster or wider."""
     if joint.limits is None:
         axes.fail(f"joint {joint.name} has no limits in the machine file; without limits nothing is moved", joint.name)
     speeds = [_speed(s, key, getattr(joint.limits, key)) for key in ("velocity", "acceleration")]
+    deceleration = _speed(s, "deceleration", joint.limits.acceleration) if "deceleration" in s else None
+    homing = _homing(s, joint)
     side = s.text("approach_from", default="", choices=("below", "above")) if "approach_from" in s else ""
     config = _site_error(
         s, AxisConfig,
@@ -205,23 +267,23 @@ def _axis(s: Section, joint: Joint, axes: Section) -> AxisConfig:
         upper=joint.limits.upper,
         velocity=speeds[0],
         acceleration=speeds[1],
-        deceleration=s.number("deceleration", default=None, low=1e-9),
+        deceleration=deceleration,
         direction=s.integer("direction", default=1, low=-1, high=1),
         offset=s.number("offset", default=0.0),
         unit=joint.unit,
-        window=s.number("window", default=5e-5, low=1e-12),
-        window_s=s.number("window_s", default=0.05, low=0.0),
-        following_window=s.number("following_window", default=None, low=1e-12),
-        following_s=s.number("following_s", default=None, low=0.0),
+        window=s.number("window", default=5e-5, low=1e-12, high=WIDEST_WINDOW),
+        window_s=s.number("window_s", default=0.05, low=0.0, high=10.0),
+        following_window=s.number("following_window", default=None, low=1e-12, high=WIDEST_FOLLOWING),
+        following_s=s.number("following_s", default=None, low=0.0, high=5.0),
         approach_from={"below": -1, "above": 1, "": None}[side],
         approach_distance=s.number("approach_distance", default=0.0, low=0.0),
         velocity_units=s.number("velocity_units", default=1.0, low=1e-12),
         acceleration_units=s.number("acceleration_units", default=1.0, low=1e-12),
-        homing=_homing(s),
+        homing=homing,
         vendor=s.integer("vendor") if "vendor" in s else None,
         product=s.integer("product") if "product" in s else None,
         firmware=s.text("firmware") if "firmware" in s else None,
-        parameters=_parameters(s),
+        parameters=_parameters(s, _set_afterwards(s, homing, host)),
     )  # fmt: skip
     s.done()
     assert isinstance(config, AxisConfig)
@@ -239,22 +301,51 @@ def _speed(s: Section, key: str, allowed: float | None) -> float:
     return allowed
 
 
-def _homing(s: Section) -> HomingConfig | None:
+def _homing(s: Section, joint: Joint) -> HomingConfig | None:
     section = s.section("homing", optional=True)
     if section is None:
         return None
+    assert joint.limits is not None
+    beyond = HOME_BEYOND * (joint.limits.upper - joint.limits.lower)
+    fast, slow = (
+        _speed(section, key, joint.limits.velocity) if key in section else None for key in ("fast", "slow")
+    )
     config = HomingConfig(
         method=section.integer("method", low=-128, high=127),
-        offset=section.number("offset", default=0.0),
-        fast=section.number("fast", default=None, low=1e-9),
-        slow=section.number("slow", default=None, low=1e-9),
+        offset=section.number("offset", 0.0, joint.limits.lower - beyond, joint.limits.upper + beyond),
+        fast=fast,
+        slow=slow,
         timeout_s=section.number("timeout_s", default=120.0, low=0.1),
     )
     section.done()
     return config
 
 
-def _parameters(s: Section) -> dict[tuple[int, int], int]:
+def _set_afterwards(s: Section, homing: HomingConfig | None, host: int | None) -> dict[tuple[int, int], str]:
+    """What a drive is told after a site's own parameters, and by what: a parameter would be overwritten in silence."""
+    by: dict[Entry, str] = {
+        VELOCITY: "'velocity'", ACCELERATION: "'acceleration'", DECELERATION: "'deceleration'",
+        LIMIT_LOW: "the machine file", LIMIT_HIGH: "the machine file",
+        POSITION_WINDOW: "'window'", POSITION_TIME: "'window_s'", PRODUCER_HEARTBEAT: "'can.heartbeat_period'",
+        CONTROLWORD: "every move", MODE: "every move", TARGET: "every move",
+    }  # fmt: skip
+    if homing is not None:
+        by |= {HOMING_METHOD: "'homing.method'", HOME_OFFSET: "'homing.offset'"}
+        by |= {HOMING_FAST: "'homing.fast'"} if homing.fast is not None else {}
+        by |= {HOMING_SLOW: "'homing.slow'"} if homing.slow is not None else {}
+    if "following_window" in s:
+        by |= {FOLLOWING_WINDOW: "'following_window'", FOLLOWING_TIME: "'following_s'"}
+    if "following_s" in s:
+        by[FOLLOWING_TIME] = "'following_s'"
+    if host is not None:
+        by[CONSUMER_HEARTBEAT] = "'can.host_node_id'"
+    return {(entry.index, entry.subindex): what for entry, what in by.items()}
+
+
+PROCESS_DATA = (0x1400, 0x1600, 0x1800, 0x1A00)  # of the first RPDO and TPDO; the others are the site's
+
+
+def _parameters(s: Section, set_afterwards: Mapping[tuple[int, int], str]) -> dict[tuple[int, int], int]:
     """`"0x6080:0": 3000`, as a concise configuration has them."""
     section = s.section("parameters", optional=True)
     out: dict[tuple[int, int], int] = {}
@@ -262,9 +353,13 @@ def _parameters(s: Section) -> dict[tuple[int, int], int]:
         assert section is not None
         index, _, sub = key.partition(":")
         try:
-            out[int(index, 0), int(sub or "0", 0)] = section.integer(key)
+            address = int(index, 0), int(sub or "0", 0)
         except ValueError:
             section.fail(f"'{section.path(key)}' is no object; expected index:subindex such as 0x6080:0", key)
+        by = "ppshw's process data" if address[0] in PROCESS_DATA else set_afterwards.get(address)
+        if by is not None:
+            section.fail(f"'{section.path(key)}' is an object that {by} sets afterwards; expected it there alone", key)
+        out[address] = section.integer(key)
     return out
 
 
@@ -275,8 +370,9 @@ def _tracker(s: Section) -> Callable[[Clock, Ports], Tracker]:
     if "serial_number" in s:
         options["serial_number"] = s.integer("serial_number")
     options |= {k: s.text(k) for k in ("prism",) if k in s}
-    numbers = ("wavelength_um", "reference_index", "search_rad", "gate_m", "timeout_s")
+    numbers = ("wavelength_um", "reference_index", "search_rad", "timeout_s")
     options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
+    options |= {k: s.number(k, low=1e-9, high=0.5) for k in ("gate_m",) if k in s}
     options |= {k: s.flag(k) for k in ("checksum",) if k in s}
     return lambda clock, ports: _site_error(s, GeoComTracker, ports.get(port, port), clock, **options)
 
@@ -294,7 +390,10 @@ def _force_sensor(top: Section) -> Callable[[Clock, Ports], ForceSensor] | None:
     options |= {"zero": s.vector("zero", 6).tolist()} if "zero" in s else {}
     if "matrix" in s:
         flat = s.vector("matrix", 36)
-        options["matrix"] = flat.reshape(6, 6).tolist()
+        options["matrix"] = matrix = flat.reshape(6, 6).tolist()
+        rows = np.array(matrix) / np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1e-300)
+        if np.linalg.matrix_rank(rows, tol=1e-6) < 6:
+            s.fail("'force_sensor.matrix' is singular, expected six independent rows", "matrix")
     s.done()
     driver: Any = BotaSensor if protocol == "bota" else Gsv8Sensor
     return lambda clock, ports: _site_error(s, driver, ports.get(port, port), clock, **options)

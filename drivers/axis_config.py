@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HomingConfig:
-    """Speeds in SI units per second; `offset` is the axis position at the home switch."""
+    """Speeds in SI units per second; `offset` is the axis position at the home switch, where the drive counts 0."""
 
     method: int
     offset: float = 0.0
@@ -30,8 +30,9 @@ class HomingConfig:
 
 @dataclass(frozen=True)
 class AxisConfig:
-    """One axis of a machine. Positions in m or rad, as `unit` says; counts = direction·counts_per_unit·(q − offset).
+    """One axis of a machine. Positions in m or rad, as `unit` says; counts = direction·counts_per_unit·(q − zero).
 
+    offset               where the drive counts 0; an axis that is homed counts from its home position instead
     window, window_s     at rest means within `window` of the target for `window_s`
     following_window     the drive's following-error window; None leaves what is in the drive; following_s: for how long
     approach_from        side that the final approach comes from: −1 from below, +1 from above, None as it comes
@@ -84,11 +85,16 @@ class AxisConfig:
             if not -(2**31) <= self.to_counts(end) < 2**31:
                 raise SiteError(f"{self.name}: limit {end:g} {self.unit} is outside the drive's 32-bit counts")
 
+    @property
+    def zero(self) -> float:
+        """Axis position where the drive counts 0."""
+        return self.offset if self.homing is None else self.homing.offset
+
     def to_counts(self, position: float) -> int:
-        return round(self.direction * self.counts_per_unit * (position - self.offset))
+        return round(self.direction * self.counts_per_unit * (position - self.zero))
 
     def to_si(self, counts: float) -> float:
-        return self.offset + self.direction * counts / self.counts_per_unit
+        return self.zero + self.direction * counts / self.counts_per_unit
 
     def require_within_limits(self, position: float) -> None:
         """Half a count beyond a limit is rounding, not a violation."""
@@ -99,6 +105,15 @@ class AxisConfig:
             raise SoftLimit(self.name, f"setpoint {position:.6g} {self.unit} is above the limit {self.upper:g}")
         if position < self.lower - slack:
             raise SoftLimit(self.name, f"setpoint {position:.6g} {self.unit} is below the limit {self.lower:g}")
+
+    def require_possible(self, reading: float) -> None:
+        """Where an axis stands: inside its limits, or between them and its home switch, which may lie beyond."""
+        home = [] if self.homing is None else [self.homing.offset]
+        slack = self.window + 0.5 / self.counts_per_unit
+        if not min([self.lower, *home]) - slack <= reading <= max([self.upper, *home]) + slack:
+            limits = f"outside its limits {self.lower:g} … {self.upper:g} {self.unit}"
+            what_to_do = "bring it back with the drive's own tool; if its encoder is wrong, see to that first"
+            raise SoftLimit(self.name, f"stands at {reading:.6g} {self.unit}, {limits}: {what_to_do}")
 
     def approach_start(self, setpoint: float) -> float | None:
         """Where the final approach to `setpoint` begins; None where it is taken as it comes."""

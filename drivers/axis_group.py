@@ -99,6 +99,9 @@ class Cia402Group:
             self._started = True
             self._exchange(expect_enabled=False)
             for axis in self._axes.values():
+                if axis.config.homing is None or axis.homed:  # else its reading means nothing yet
+                    axis.config.require_possible(self._position(axis))
+            for axis in self._axes.values():
                 axis.enable()
             homed = [axis for axis in self._axes.values() if axis.config.homing is not None and not axis.homed]
             for axis in homed:

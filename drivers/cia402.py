@@ -29,6 +29,7 @@ from drivers.cia402_objects import (
     ERROR_CODE,
     ERROR_REGISTER,
     FAULT_RESET,
+    FAULTY,
     FOLLOWING_TIME,
     FOLLOWING_WINDOW,
     LIMIT_HIGH,
@@ -300,7 +301,7 @@ class Cia402Axis:
         last = None
         while True:
             state = self.state()
-            if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            if state in FAULTY:
                 raise self._drive_fault()
             if state is State.OPERATION_ENABLED:
                 return
@@ -325,7 +326,7 @@ class Cia402Axis:
 
     def reset_fault(self, timeout: float = 2.0) -> None:
         """Acknowledge a fault. Never enables: no bit that could is set in either controlword."""
-        if self.state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self.state() in FAULTY:
             self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
             self._wait_while(State.FAULT_REACTION_ACTIVE, timeout, "after its fault")  # a reset would be lost meanwhile
             self.sdo.write(CONTROLWORD, FAULT_RESET)
@@ -363,7 +364,7 @@ class Cia402Axis:
         snapshot = self.snapshot
         if snapshot is not None and snapshot.off_course and snapshot.mode == PROFILE_POSITION:
             return self._following_error(snapshot)
-        if self._emergency is not None or (snapshot is not None and snapshot.state is State.FAULT):
+        if self._emergency is not None or (snapshot is not None and snapshot.state in FAULTY):
             return self._drive_fault()
         if self._restarted:
             return DriveFault(self.name, "restarted by itself (boot-up message); its configuration is gone")
@@ -401,7 +402,7 @@ class Cia402Axis:
         code = self._emergency
         if code is None:
             code = self.sdo.read_if_present(ERROR_CODE)
-        if code is None:
+        if not code:  # none, or none yet: some drives give it when their reaction has ended
             register = self.sdo.read_if_present(ERROR_REGISTER)
             return DriveFault(self.name, f"drive fault without a code, error register {_hex(register)}")
         return DriveFault(self.name, f"drive fault 0x{code:04X}, {meaning(code)}")

@@ -62,6 +62,7 @@ class State(enum.Enum):
         return self.value
 
 
+FAULTY = (State.FAULT_REACTION_ACTIVE, State.FAULT)  # the first leads to the second, by itself
 STATUSWORD_PATTERNS = (  # mask, pattern, state: CiA 402-2, statusword coding
     (0x4F, 0x00, State.NOT_READY_TO_SWITCH_ON),
     (0x4F, 0x40, State.SWITCH_ON_DISABLED),

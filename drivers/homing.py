@@ -4,6 +4,9 @@ After a homing the drive goes on saying "attained" until the next one has begun.
 drive has said "in progress"; methods that take the present position for home may never say so, and are given two
 fresh process data instead. The other axes stand meanwhile, enabled, and are watched as in a move.
 
+The drive counts from its home position: 0x607C is 0. By CiA 402's words zero = home position + 0x607C, and the limits
+0x607D are shifted by it; with some makers it is the position that home gets, or how far to move on.
+
     statusword bits 13, 12, 10:  000 in progress   001 not started   011 done   1·· homing error
 """
 
@@ -11,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from drivers.axis_config import HomingConfig
 from drivers.canopen_bus import CanBus
 from drivers.cia402 import Cia402Axis
 from drivers.cia402_objects import (
@@ -28,6 +32,7 @@ from drivers.cia402_objects import (
 )
 from ppshw.errors import DriveFault, HardwareTimeout, SiteError
 
+OVERRUN_S, OVERRUN_WINDOWS = 0.5, 10  # how far beyond home a drive may stop: at the speed of the last piece (guesses)
 START_TIMEOUT = 1.0  # s; a drive that has not begun by then is not going to (a guess, generous)
 
 
@@ -43,11 +48,7 @@ def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
     axis.target = None
     c = axis.config
     axis.sdo.set(HOMING_METHOD, homing.method)
-    offset = c.to_counts(homing.offset)
-    if offset:
-        axis.sdo.set_asked(HOME_OFFSET, offset, f"axes.{axis.name}.homing.offset")
-    else:
-        axis.sdo.set_if_present(HOME_OFFSET, offset)
+    axis.sdo.set_if_present(HOME_OFFSET, 0)
     for entry, key, speed in ((HOMING_FAST, "fast", homing.fast), (HOMING_SLOW, "slow", homing.slow)):
         if speed is not None:
             axis.sdo.set(entry, axis.in_whole_units(speed * c.counts_per_unit * c.velocity_units, f"homing.{key}"))
@@ -55,7 +56,18 @@ def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
     _command(axis, bus, exchange, HOMING, ENABLE | NEW_SET_POINT)
     _wait_until_attained(axis, bus, exchange, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)
     _command(axis, bus, exchange, PROFILE_POSITION, ENABLE)
+    _require_home(axis, homing)
     axis.homed = True
+
+
+def _require_home(axis: Cia402Axis, homing: HomingConfig) -> None:
+    """A drive may have a home position of its maker's own, or not have taken this one."""
+    assert axis.snapshot is not None
+    c, here = axis.config, axis.config.to_si(axis.snapshot.counts)
+    overrun = 0.0 if homing.method in HOME_IN_PLACE else OVERRUN_S * (homing.slow or homing.fast or c.velocity)
+    if abs(here - homing.offset) > max(overrun, OVERRUN_WINDOWS * c.window):
+        ended = f"homing ended at {here:.6g} {c.unit}, expected {homing.offset:.6g} {c.unit} (homing.offset)"
+        raise DriveFault(axis.name, f"{ended}: the drive does not count 0 at home, see its own home position")
 
 
 def _wait_until_attained(

@@ -134,8 +134,13 @@ class CanopenNode:
             self.boot()
 
     def emergency(self, code: int, register: int) -> None:
-        if self.online:
+        """A node without object 0x1014 sends none (CiA 301: optional)."""
+        if self.online and 0x1014 in self.node.object_dictionary:
             self.node.emcy.send(code, register)
+
+    def end_heartbeat(self) -> None:
+        """All but its heartbeat goes on, as when another program writes 0 to 0x1017."""
+        self._start_heartbeat(0)
 
     # heartbeat: no lock here, the clock calls with its own lock held
 

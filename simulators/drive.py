@@ -37,6 +37,7 @@ class Power(enum.Enum):
     SWITCHED_ON = 0x23
     OPERATION_ENABLED = 0x27
     QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
     FAULT = 0x08
 
 
@@ -56,7 +57,9 @@ class SimulatedDrive(CanopenNode):
     start       where the motor stands at power-up, in the motor's own absolute counts
     absolute    the encoder knows its absolute position; an incremental one reads 0 at power-up until it is homed
     home_at     absolute position of the home switch
+    home_offset_sense  1: zero = home + 0x607C, as CiA 402 has it; -1: home = zero + 0x607C, as some makers have it
     lag_s       the motor follows the demand this much later
+    reaction_s  how long its reaction to a fault takes, in which it heeds no command
     missing     objects this model does not have
     modes       supported modes of operation; a request for another is ignored, as real drives do
     """
@@ -71,7 +74,9 @@ class SimulatedDrive(CanopenNode):
         start: float = 0.0,
         absolute: bool = True,
         home_at: float = 0.0,
+        home_offset_sense: int = 1,
         lag_s: float = 0.002,
+        reaction_s: float = 0.0,
         missing: Collection[int] = (),
         modes: Collection[int] = (PROFILE_POSITION, HOMING),
         eds: Path = EDS,
@@ -81,6 +86,8 @@ class SimulatedDrive(CanopenNode):
         self.starts: list[float] = []  # when each profile-position motion began
         self.targets: list[float] = []  # and where to, in the motor's absolute counts
         self._absolute, self._home_at, self._lag, self._modes = absolute, home_at, lag_s, modes
+        self._home_offset_sense = home_offset_sense
+        self._reaction, self._reacts_until = reaction_s, 0.0
         self._motions = [motion.at_rest(start)]  # the one before the last is still needed for the lag
         self._stuck_at: float | None = None
         self._power_up()
@@ -109,7 +116,7 @@ class SimulatedDrive(CanopenNode):
     # trouble
 
     def trip(self, code: int) -> None:
-        """The drive faults: brakes, reports `code` by EMCY, and stays in FAULT until it is reset."""
+        """The drive faults: reports `code` by EMCY at once, brakes, and stays in FAULT until it is reset."""
         with self.lock:
             self._enter_fault(code)
 
@@ -212,7 +219,7 @@ class SimulatedDrive(CanopenNode):
             self._error_code, self._following_error, self._exceeded_since = 0, False, None
             self.emergency(0, 0)
             return
-        if self._power is Power.FAULT:
+        if self._power in (Power.FAULT, Power.FAULT_REACTION_ACTIVE):
             return
         if not command & 0x2:  # disable voltage
             self._switch(Power.SWITCH_ON_DISABLED)
@@ -315,10 +322,12 @@ class SimulatedDrive(CanopenNode):
         at_rest = now >= last.end + self._lag
         if self._power is Power.QUICK_STOP_ACTIVE and at_rest and self.value(0x605A) < 5:
             self._power = Power.SWITCH_ON_DISABLED
+        if self._power is Power.FAULT_REACTION_ACTIVE and now >= self._reacts_until:
+            self._power = Power.FAULT
         error = abs(self._demand(now) - self.position(now))
         if self._homing and at_rest and error == 0:
             self._homing, self._homed = False, True
-            self._origin = self._home_at - self.value(0x607C)
+            self._origin = self._home_at + self._home_offset_sense * self.value(0x607C)
         if abs(last.target - self.position(now)) > self.value(0x6067):
             self._reached_since = None
         elif self._reached_since is None:
@@ -338,7 +347,8 @@ class SimulatedDrive(CanopenNode):
 
     def _enter_fault(self, code: int) -> None:
         self._brake()
-        self._power = Power.FAULT
+        self._power = Power.FAULT_REACTION_ACTIVE if self._reaction else Power.FAULT
+        self._reacts_until = self.clock.now() + self._reaction
         self._error_code = code
         self._homing = False
         self.emergency(code, 0x01)

@@ -284,6 +284,27 @@ def test_a_node_that_falls_silent_at_rest_is_missed(machine: Machine) -> None:
         machine.group.raise_if_faulty()
 
 
+def test_a_node_whose_heartbeat_alone_has_ended_is_missed_at_rest(machine: Machine) -> None:
+    machine.clock.sleep(2.0)
+    machine.group.positions()
+    machine.drive("lift").end_heartbeat()
+    machine.clock.sleep(2.0)
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.positions()  # it answers SYNC: no silence of the other kind
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.raise_if_faulty()
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_node_whose_heartbeat_alone_ends_under_way_stops_the_others(machine: Machine) -> None:
+    machine.after(2.0, machine.drive("lift").end_heartbeat)
+    began = machine.clock.now()
+    with pytest.raises(HeartbeatLost, match=r"lift: no heartbeat for [12]\.\d s \(node 2\)"):
+        machine.group.move({"slide": 1.0})  # 11 s; a heartbeat counts as lost after 1.5 s
+    assert machine.clock.now() - began < 5.0
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
 def test_a_node_that_falls_silent_under_way_stops_the_others(machine: Machine) -> None:
     machine.after(2.0, machine.drive("slew").go_silent)
     with pytest.raises(HeartbeatLost, match=r"slew: no process data within 0\.5 s of SYNC"):
@@ -354,6 +375,23 @@ def test_a_drive_that_is_back_keeps_its_position(machine: Machine) -> None:
     machine.group.reset_faults()
     machine.group.start()
     assert machine.group.positions()["lift"] == pytest.approx(0.3, abs=1e-5)
+
+
+@pytest.mark.parametrize("counts", [-524_288, 100_007])  # turns that an encoder lost; a window and two counts too far
+def test_an_axis_that_reads_beyond_its_limits_is_not_started(build: Callable[..., Machine], counts: int) -> None:
+    m = build(SLIDE, LIFT)
+    m.drive("slide").lie_about(0x6064, counts)
+    with pytest.raises(SoftLimit, match=r"slide: stands at (-5\.24288|1\.00007) m, outside its limits -1 … 1 m: "):
+        m.group.start()
+    assert [drive.power for drive in m.drives] == [Power.SWITCH_ON_DISABLED] * 2
+
+
+def test_an_axis_on_its_limit_or_at_a_home_switch_beyond_it_is_started(build: Callable[..., Machine]) -> None:
+    m = build(replace(SLIDE, homing=HomingConfig(method=17, offset=-1.005, fast=0.1)), LIFT, start=3_000)
+    m.drive("lift").lie_about(0x6064, 200_005)  # -1.000025 m
+    assert m.group.start() == ["slide"]
+    assert m.group.start() == []  # it still stands there
+    m.group.move({"slide": -0.9})
 
 
 def test_an_interrupt_by_the_operator_stops_all_axes(machine: Machine) -> None:
@@ -431,17 +469,45 @@ def test_a_speed_that_whole_drive_units_would_make_much_faster_is_refused(build:
         build(coarse).group.start()
 
 
-def test_a_fault_is_reset_when_the_drive_s_reaction_to_it_has_ended(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
+def test_a_fault_is_reset_when_the_drive_s_reaction_to_it_has_ended(build: Callable[..., Machine]) -> None:
+    """During the reaction the edge is lost."""
+    m = build(reaction_s=0.5)
+    m.group.start()
+    m.drive("lift").trip(0x2310)
+    assert m.drive("lift").power is Power.FAULT_REACTION_ACTIVE
+    m.group.reset_faults()
+    assert m.drive("lift").power is Power.SWITCH_ON_DISABLED
+
+
+def test_a_fault_reaction_that_does_not_end_is_no_reset(build: Callable[..., Machine]) -> None:
+    m = build(reaction_s=60.0)
+    m.drive("lift").trip(0x2310)
+    with pytest.raises(HardwareTimeout, match="lift: still FAULT REACTION ACTIVE 2 s after its fault"):
+        m.group.reset_faults()
+
+
+@pytest.mark.parametrize("missing", [(), (0x1014,)])  # 0x1014: drives without it send no emergency
+def test_a_drive_that_still_reacts_to_its_fault_says_why(
+    build: Callable[..., Machine], missing: tuple[int, ...]
 ) -> None:
-    """During the reaction the edge is lost; the simulated drive has none, so its states are put in by hand."""
-    axis = machine.group.axis("lift")
-    said = [State.FAULT_REACTION_ACTIVE] * 3 + [State.FAULT] * 2 + [State.SWITCH_ON_DISABLED] * 3
-    resets = []
-    monkeypatch.setattr(axis, "state", lambda: said.pop(0))
-    monkeypatch.setattr(axis.sdo, "write", lambda entry, value: resets.append(said[0]) if value == 0x80 else None)
-    axis.reset_fault()
-    assert resets == [State.FAULT]
+    m = build(reaction_s=30.0, missing=missing)
+    m.group.start()
+    m.after(3.0, lambda: m.drive("lift").trip(0x2310))
+    with pytest.raises(DriveFault, match="lift: drive fault 0x2310, continuous overcurrent on the motor side"):
+        m.group.move({"slide": 1.0, "lift": 1.0})
+    assert m.drive("lift").power is Power.FAULT_REACTION_ACTIVE
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_drive_that_keeps_its_error_code_until_the_reaction_has_ended_is_faulty_all_the_same(
+    build: Callable[..., Machine],
+) -> None:
+    m = build(reaction_s=30.0, missing=(0x1014,))
+    m.group.start()
+    m.drive("lift").lie_about(0x603F, 0)
+    m.drive("lift").trip(0x2310)
+    with pytest.raises(DriveFault, match="lift: drive fault without a code, error register 0x1"):
+        m.group.raise_if_faulty()
 
 
 def test_a_fault_reset_enables_nothing(machine: Machine) -> None:
@@ -725,7 +791,6 @@ def test_a_drive_may_lack_every_object_that_some_real_drive_lacks(build: Callabl
         ({}, 0x6065, r"has no following error window 0x6065:00, but the site file gives axes\.slide\.following_window"),
         ({"following_s": 0.2}, 0x6066, r"0x6066:00, but the site file gives axes\.slide\.following_s"),
         ({"deceleration": 0.05}, 0x6084, r"0x6084:00, but the site file gives axes\.slide\.deceleration"),
-        ({"homing": HomingConfig(17, offset=0.5)}, 0x607C, r"0x607C:00, but the site file gives axes\.slide\.homing"),
     ],
 )
 def test_what_the_site_asks_for_and_the_drive_does_not_have_is_not_dropped(
@@ -787,6 +852,42 @@ def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callabl
     assert m.group.positions()["slide"] == pytest.approx(-0.5)
     m.group.move({"slide": 0.0})
     assert round(m.drive("slide").motor_position()) == 70_000  # home + 0.5 m
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("left_over", [0, 30_000])
+def test_the_position_at_home_is_the_same_whichever_way_a_drive_takes_its_home_offset(
+    build: Callable[..., Machine], sense: int, left_over: int
+) -> None:
+    """By the words of CiA 402 the zero lies 0x607C from home; with some makers home lies 0x607C from the zero."""
+    m = build(HOMED, absolute=False, start=70_000, home_at=20_000, home_offset_sense=sense)
+    m.drive("slide").store(0x607C, 0, left_over)  # by whoever set it up
+    m.group.start()
+    assert m.group.positions()["slide"] == pytest.approx(-0.5)
+    m.group.move({"slide": -0.4})
+    assert round(m.drive("slide").motor_position()) == 30_000
+
+
+def test_a_drive_without_a_home_offset_can_be_homed(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, home_at=20_000, missing=(0x607C,))
+    m.group.start()
+    assert m.group.positions()["slide"] == pytest.approx(-0.5)
+
+
+def test_a_drive_that_does_not_count_from_its_home_position_is_not_homed(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, home_at=20_000)
+    m.drive("slide").lie_about(0x6064, 100_000)  # as with a maker's own home position of 1 m
+    with pytest.raises(DriveFault, match=r"slide: homing ended at 0\.5 m, expected -0\.5 m \(homing\.offset\): "):
+        m.group.start()
+    assert not m.group.axis("slide").homed
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_a_drive_may_stop_a_little_beyond_its_home_position(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, home_at=20_000)
+    m.drive("slide").lie_about(0x6064, 300)  # 3 mm; at the slow 0.01 m/s of the last piece it may be 5
+    assert m.group.start() == ["slide"]
+    assert m.group.positions()["slide"] == pytest.approx(-0.497)
 
 
 def test_a_second_homing_homes_again(build: Callable[..., Machine]) -> None:

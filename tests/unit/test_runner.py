@@ -26,6 +26,7 @@ from ppshw.errors import (
     BeamLost,
     CompensationRefused,
     DriveFault,
+    FollowingError,
     HardwareError,
     HeartbeatLost,
     InstrumentFault,
@@ -66,6 +67,8 @@ class FakeAxes:
         self.fell_over: tuple[int, HardwareError] | None = None  # while the tracker measured, after so many moves
         self.stop_error: BaseException | None = None
         self.silent_from = np.inf  # machine time from which a node is silent
+        self.slip, self.slips_from = 0.0, np.inf  # how far the first axis slips [m], and from which machine time on
+        self.homed = ["yaw"]
 
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
@@ -73,7 +76,7 @@ class FakeAxes:
     def start(self) -> list[str]:
         self.stops = 0
         self.started = True
-        return ["yaw"]
+        return self.homed
 
     def reset_faults(self) -> None:
         pass
@@ -88,7 +91,8 @@ class FakeAxes:
         return MoveReport(dict(self.at), approach, self.clock.now())
 
     def positions(self) -> dict[str, float]:
-        return {n: x + 1e-6 for n, x in self.at.items()}
+        slip = {self.names[0]: self.slip} if self.clock.now() >= self.slips_from else {}
+        return {n: x + 1e-6 + slip.get(n, 0.0) for n, x in self.at.items()}
 
     def raise_if_faulty(self) -> None:
         if self.clock.now() >= self.silent_from:
@@ -533,6 +537,87 @@ def test_an_axis_that_falls_silent_while_a_person_is_asked_stops_the_others_at_o
     assert situation.events("fault") == ["lift: no heartbeat"]
 
 
+@pytest.mark.parametrize("wait", ["suspended", "settling"])
+def test_an_axis_that_slips_while_the_run_waits_is_noticed_within_a_second(tmp_path: Path, wait: str) -> None:
+    situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
+    if wait == "suspended":
+        situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+    situation.axes.slip, situation.axes.slips_from = -3e-3, 5.0
+    with pytest.raises(FollowingError, match=r"lateral: moved from .* to .* while it should stand"):
+        situation.run()
+    assert situation.clock.now() <= 6.0
+    assert situation.axes.stops > 0
+    assert situation.indices() == []
+
+
+def test_an_axis_that_slips_while_a_person_is_asked_is_noticed_then(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Loads(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            if load.name == "box":
+                situation.axes.slips_from = situation.clock.now()
+                noticed.append(situation.clock.utc().isoformat(timespec="milliseconds"))
+                assert told.wait(5.0)
+                situation.clock.sleep(900.0)  # the answer comes a quarter of an hour later
+            return super().change_load(load)
+
+        def tell(self, text: str) -> None:
+            super().tell(text)
+            told.set()
+
+    told, noticed = threading.Event(), list[str]()
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    situation.axes.slip = 3e-3
+    with pytest.raises(FollowingError, match="lateral: moved from"):
+        situation.run(Loads(situation))
+    with RecordingFile.open(situation.out) as file:
+        assert [time for time, kind, _, _ in file.events() if kind == "fault"] == noticed
+
+
+def test_an_axis_that_gives_way_under_the_load_is_no_slip(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Loads(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            situation.axes.slips_from = situation.clock.now()
+            threading.Event().wait(0.1)
+            situation.axes.slips_from = np.inf
+            return super().change_load(load)
+
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    situation.axes.slip = 1e-4
+    situation.run(Loads(situation))
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_resumed_run_says_which_axes_stand_elsewhere_than_at_the_last_visit(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    assert situation.events("moved") == []
+    situation.axes.trouble = None
+    was = situation.axes.at["lateral"] + 1e-6
+    situation.axes.at = {**situation.axes.at, "lateral": 0.0, "yaw": 0.0}  # an encoder without its battery; yaw homed
+    situation.axes.at["roll"] += 1e-4  # its brake gave way
+    operator = Scripted(situation)
+    situation.run(operator)
+    assert situation.events("moved") == [f"since the last visit axes have moved: lateral {was:.6g} → 1e-06 m"]
+    assert operator.told[0].startswith("Since the last visit axes have moved: lateral ")
+    assert operator.told[0].endswith("their zero is lost: then abort before they move again.")
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_resumed_run_whose_axes_stand_where_they_stood_says_nothing(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    situation.axes.trouble = None
+    operator = Scripted(situation)
+    situation.run(operator)
+    assert operator.told == []
+
+
 def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
     situation.thermometer.values = [21.0, 21.0, 21.0, 21.0] + [24.5] * 5 + [22.5]
@@ -621,17 +706,19 @@ def test_closing_goes_through_every_device_even_when_one_fails(situation: Situat
 
 def test_the_operator_answers_with_name_and_mass_at_the_console() -> None:
     out = io.StringIO()
-    console = ConsoleOperator(io.StringIO("\nAnn 148.5\n\nabort\n"), out)
+    console = ConsoleOperator(io.StringIO("\nAnn 148.5\ny\n\nabort\n"), out)
     assert console.change_load(BOX) == Answer("Ann", 148.5)  # the empty line had no name to fall back on
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     assert "put on 'box': 150 kg" in out.getvalue()
+    assert "A name is needed." in out.getvalue()
+    assert "148.5 kg instead of 150 kg" in out.getvalue()
     with pytest.raises(Stopped, match="at the change to load box"):
         console.change_load(BOX)
     with pytest.raises(Stopped, match="nobody answers"):
         console.change_load(BOX)
 
 
-@pytest.mark.parametrize("letter", ["a", "A", "abort"])
+@pytest.mark.parametrize("letter", ["a", "A", "abort", "Abort!"])
 def test_an_abort_at_a_load_change_is_no_name(letter: str) -> None:
     console = ConsoleOperator(io.StringIO(f"{letter}\n\n"), io.StringIO())
     with pytest.raises(Stopped, match="at the change to load box"):
@@ -643,6 +730,47 @@ def test_the_other_commands_are_no_names_at_a_load_change() -> None:
     console = ConsoleOperator(io.StringIO("s\ng\nr\np\nAnn\n"), out)
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     assert out.getvalue().count("is no name") == 4
+
+
+@pytest.mark.parametrize("typed", [
+    "stop", "Stop!", "pause", "wait", "no", "quit", "skip", "please wait", "ok", "x", "?", "--", "kg", "Ann inf",
+])  # fmt: skip
+def test_who_says_something_else_than_a_name_does_not_set_the_machine_in_motion(typed: str) -> None:
+    out = io.StringIO()
+    console = ConsoleOperator(io.StringIO(f"Ann\n{typed}\n\nabort\n"), out)  # nor by an Enter after it
+    console.change_load(BOX)
+    with pytest.raises(Stopped, match="at the change to load box"):
+        console.change_load(BOX)
+    assert "is no name; to stop type 'abort'" in out.getvalue()
+
+
+@pytest.mark.parametrize("typed", ["Ann 1e9", "Ann 148 lb", "Ann -5", "148 Ann", "Ann 140 148", "Ann " + "9" * 400])
+def test_a_mass_that_is_not_understood_is_no_part_of_a_name(typed: str) -> None:
+    out = io.StringIO()
+    with pytest.raises(Stopped):
+        ConsoleOperator(io.StringIO(f"{typed}\nabort\n"), out).change_load(BOX)
+    assert "is not understood; expected a name, then a mass such as 148.5 kg" in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [
+        ("Ann 148 kg\ny\n", Answer("Ann", 148.0)),
+        ("Ann 148kg\ny\n", Answer("Ann", 148.0)),
+        ("Ann 148,5\nmaybe\nyes\n", Answer("Ann", 148.5)),
+        ("Anne-Marie O'Neil, 150\n", Answer("Anne-Marie O'Neil", 150.0)),
+        ("148\nAnn\ny\n", Answer("Ann", 148.0)),  # a mass that was said stays while the name is asked for
+        ("Ann 1485\nn\n148.5\ny\n", Answer("Ann", 148.5)),
+        ("Ann 1485\nn\n\n", Answer("Ann", 150.0)),
+    ],
+)
+def test_a_mass_is_read_as_it_is_written_and_asked_back_where_it_is_another(typed: str, answer: Answer) -> None:
+    assert ConsoleOperator(io.StringIO(typed), io.StringIO()).change_load(BOX) == answer
+
+
+def test_an_abort_is_one_also_where_a_mass_is_asked_back() -> None:
+    with pytest.raises(Stopped, match="at the change to load box"):
+        ConsoleOperator(io.StringIO("Ann 1485\nabort\n"), io.StringIO()).change_load(BOX)
 
 
 class Terminal:
@@ -659,7 +787,7 @@ class Terminal:
         assert select.select([self.lines], [], [], 5.0)[0]
 
     def write(self, text: str) -> int:
-        if "Enter when done" in text:
+        if "Enter when done" in text or "y or n" in text:
             self.type(self.answers.pop(0))
         self.shown += text
         return len(text)
@@ -681,7 +809,7 @@ def terminal() -> Iterator[Terminal]:
 
 def test_what_was_typed_before_a_load_change_is_no_answer_to_it(terminal: Terminal) -> None:
     console = ConsoleOperator(terminal.lines, terminal)  # type: ignore[arg-type]
-    terminal.answers = ["Ann\n", "Bob 148\n"]
+    terminal.answers = ["Ann\n", "Bob 148\n", "y\n"]
     assert console.change_load(BOX) == Answer("Ann", 150.0)
     terminal.type("\n\nhalf a li")
     assert console.change_load(BOX) == Answer("Bob", 148.0)

@@ -16,8 +16,10 @@ from drivers.ports import WallClock
 from drivers.thermometer_file import FileThermometer
 from ppshw.errors import HardwareTimeout, InstrumentFault, ProtocolError, SiteError
 from simulators.clock import START, SteppedClock
+from simulators.serve import times_at
 
 ROOT = Path(__file__).parents[2]
+AS_WRITTEN = {"sync_period": 0.02, "poll_period": 0.1, "heartbeat_period": 0.5, "heartbeat_timeout": 1.5}
 EXAMPLE = (ROOT / "sites/example.yaml").read_text(encoding="utf-8")
 
 
@@ -70,6 +72,75 @@ def test_a_mistake_is_reported_with_file_and_line(tmp_path: Path, old: str, new:
         load_site(site_file(tmp_path, (old, new)))
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+LOCAL = ("/dev/ttyACM0, bitrate: 500000", "socket://127.0.0.1:5000")
+HURRIED = ("axes:\n", "clock: {speed: 20}\naxes:\n")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [  # switched-off supervision, mostly by milliseconds where seconds are meant
+        ("poll_period: 0.1 ", "poll_period: 100 ", "'can.poll_period' is 100, expected between 0.01 and 1"),
+        ("heartbeat_period: 0.5", "heartbeat_period: 500", "'can.heartbeat_period' is 500, expected between"),
+        ("heartbeat_period: 0.5", "heartbeat_period: 0.0004", "'can.heartbeat_period' is 0.0004, expected"),
+        ("heartbeat_timeout: 1.5", "heartbeat_timeout: 1500", "'can.heartbeat_timeout' is 1500, expected between"),
+        ("heartbeat_timeout: 1.5", "heartbeat_timeout: 0.2", "is 0.2, expected between 1 and 10"),
+        ("sync_period: 0.02", "sync_period: 20", "'can.sync_period' is 20, expected between 0.001 and 0.2"),
+        ("  sync_period", "  answer_timeout: 500\n  sync_period", "'can.answer_timeout' is 500, expected between"),
+        ("  sync_period", "  sdo_timeout: 300\n  sync_period", "'can.sdo_timeout' is 300, expected between"),
+        ("host_node_id: 100", "host_node_id: 3", "'can.host_node_id' is 3, the node of axis longitudinal"),
+        # beyond limits
+        ("fast: 0.02", "fast: 2.0", "'axes.lateral.homing.fast' is 2, the machine file allows 0.1"),
+        ("slow: 0.002", "slow: 2.0", "'axes.lateral.homing.slow' is 2, the machine file allows 0.1"),
+        ("offset: -1.13,", "offset: 5.0,", "'axes.lateral.homing.offset' is 5, expected between -1.35 and 1.35"),
+        ("window: 2.0e-5", "deceleration: 50", "'axes.lateral.deceleration' is 50, the machine file allows 0.1"),
+        # what would accept anything
+        ("window: 2.0e-5", "window: 1.0", "'axes.lateral.window' is 1, expected between 1e-12 and 0.001"),
+        ("window_s: 0.2", "window_s: 200", "'axes.lateral.window_s' is 200, expected between 0 and 10"),
+        ("following_window: 2.0e-3", "following_window: 100", "'axes.lateral.following_window' is 100, expected"),
+        ("window_s: 0.2", "following_s: 100", "'axes.lateral.following_s' is 100, expected between 0 and 5"),
+        ("gate_m: 0.05", "gate_m: 10", "'tracker.gate_m' is 10, expected between 1e-09 and 0.5"),
+        ("samples: 32", f"matrix: [{', '.join(['0'] * 36)}]", "'force_sensor.matrix' is singular"),
+        ("samples: 32", f"matrix: [{', '.join(['1e-3'] * 36)}]", "expected six independent rows"),
+        # two words for one thing
+        ("port: /dev/ttyUSB1", "port: /dev/ttyUSB0", "'force_sensor.port' is /dev/ttyUSB0, as is 'tracker.port'"),
+        ("/dev/ttyUSB0", "/dev/ttyACM0", "'tracker.port' is /dev/ttyACM0, as is 'can.bus.channel'"),
+        ('"0x6085:0"', '"0x6081:0"', "'axes.lateral.parameters.0x6081:0' is an object that 'velocity' sets afterwards"),
+        ('"0x6085:0"', '"0x1017"', "is an object that 'can.heartbeat_period' sets afterwards; expected it there alone"),
+        ('"0x6085:0"', '"0x607C:0"', "is an object that 'homing.offset' sets afterwards"),
+        ('"0x6085:0"', '"0x1016:1"', "is an object that 'can.host_node_id' sets afterwards"),
+        ('"0x6085:0"', '"0x1A00:1"', "is an object that ppshw's process data sets afterwards"),
+        (*HURRIED, "'clock.speed' is 20, but 'can.bus.channel' is /dev/ttyACM0: only simulated hardware"),
+    ],
+)
+def test_a_setting_that_would_switch_off_a_check_or_exceed_a_limit_is_refused(
+    tmp_path: Path, old: str, new: str, complaint: str
+) -> None:
+    with pytest.raises(SiteError, match=r"hall\.yaml:\d+: ") as caught:
+        load_site(site_file(tmp_path, (old, new)))
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_hurried_time_beside_a_real_instrument_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SiteError, match=r"'clock\.speed' is 20, but 'tracker\.port' is /dev/ttyUSB0"):
+        load_site(site_file(tmp_path, LOCAL, HURRIED))
+
+
+@pytest.mark.parametrize("speed", [0.5, 1, 20, 1000])
+def test_the_times_of_simulated_hardware_are_sane_at_its_speed(tmp_path: Path, speed: float) -> None:
+    local = [("/dev/ttyUSB0", "socket://127.0.0.1:5001"), ("/dev/ttyUSB1", "socket://localhost:5002")]
+    times = [(f"{key}: {value} ", f"{key}: {times_at(speed)[key]} ") for key, value in AS_WRITTEN.items()]
+    site = load_site(site_file(tmp_path, LOCAL, *local, *times, (HURRIED[0], f"clock: {{speed: {speed}}}\naxes:\n")))
+    assert site.bus.heartbeat_timeout == times_at(speed)["heartbeat_timeout"]
+
+
+def test_a_parameter_that_nothing_sets_afterwards_is_the_sites_own(tmp_path: Path) -> None:
+    """An absolute encoder's home offset, the third TPDO, a consumer heartbeat where the program sends none."""
+    own = '{node: 5, counts_per_unit: 3.0e7, parameters: {"0x607C:0": 5, "0x1802:1": 7, "0x1016:1": 9}}'
+    changes = ("{node: 5, counts_per_unit: 3.0e7}", own), ("  host_node_id: 100", "  # host_node_id: 100")
+    assert len(load_site(site_file(tmp_path, *changes)).axes[4].parameters) == 3
 
 
 def test_a_machine_with_its_tracker_anywhere_needs_a_rough_pose(tmp_path: Path) -> None:
