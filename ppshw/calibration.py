@@ -52,6 +52,8 @@ class Calibration:
     payload_range       (6, 2) what was sampled of the payload, sensor frame   [N, N·m]
     provenance          method, hashes, version, date, counts
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
+    laid                (p,) parameters that these functions were made with: what creeps is what links gave way by then,
+                        whatever they are found to give way by beside it; None: as `theta`
     strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
     ambiguous           what the recording does not tell apart, as `ambiguity.Ambiguity.as_dict` says it
     temperature_range   place → least and greatest seen; what has no reading there is not listed   [°C]
@@ -73,6 +75,11 @@ class Calibration:
     ambiguous: tuple[dict[str, Any], ...] = ()
     visits: Recording | None = None
     temperature_range: dict[str, tuple[float, float]] = field(default_factory=dict)
+    laid: Array | None = None
+
+    @property
+    def laid_at(self) -> Array:
+        return self.theta if self.laid is None else self.laid
 
     @property
     def machine(self) -> Machine:
@@ -163,6 +170,7 @@ class Calibration:
             "terms": terms,
             "effects": [effect.as_dict() for effect in self.effects],
             "reference": self.reference,
+            "laid": None if self.laid is None else self.laid.tolist(),
             "strengths": self.strengths,
             "ambiguous": list(self.ambiguous),
             "visits": None if self.visits is None else earlier.as_dict(self.visits),
@@ -209,6 +217,8 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
                   "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
                   "valid.temperatures": np.array(list(found.temperature_range.values())),
                   "targets": found.machine.target_array}  # fmt: skip
+    if found.laid is not None:
+        everything["laid"] = found.laid
     if found.noise.joints is not None:
         if (found.noise.joints < 0).any():
             raise CalibrationError(f"{path}: damaged: noise.joints holds negative variances")
@@ -247,6 +257,9 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
     covariance = _unpack(data["covariance"])
     if not len(values) == len(model.parameters()) == len(covariance):
         raise ValueError(f"{len(values)} values for {len(model.parameters())} parameters")
+    laid = None if data.get("laid") is None else np.array(data["laid"], dtype=float)
+    if laid is not None and laid.shape != (len(values),):
+        raise ValueError(f"{laid.size} values in 'laid' for {len(values)} parameters")
     return Calibration(
         model,
         np.array(values),
@@ -263,6 +276,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         tuple(data.get("ambiguous", [])),
         _visits(data, machine),
         {str(p): (float(low), float(high)) for p, (low, high) in data["valid"].get("temperatures", {}).items()},
+        laid,
     )
 
 

@@ -97,7 +97,7 @@ class Compensator:
         self.known: KnownEffects | None = None
         if calibration.effects:
             self.known = KnownEffects(
-                calibration.effects, calibration.model, calibration.theta, calibration.reference,
+                calibration.effects, calibration.model, calibration.laid_at, calibration.reference,
                 calibration.measuring_in_base, calibration.temperature_range,
             )  # fmt: skip
 

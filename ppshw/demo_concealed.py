@@ -168,7 +168,7 @@ def _without_instrument(calibration: Calibration, recording: Recording, errors: 
     machine = calibration.machine
     ideal = point_positions(machine, wanted_joints(recording), machine.point(POINT)[None])[:, 0]
     erring = instrument_error(
-        calibration.effects, calibration.model, calibration.theta, recording, calibration.measuring_in_base,
+        calibration.effects, calibration.model, calibration.laid_at, recording, calibration.measuring_in_base,
         calibration.reference, ideal + np.nan_to_num(errors),
     )  # fmt: skip
     return errors - erring if erring.any() else None

@@ -35,7 +35,7 @@ def residuals(recording: Recording, calibration: Calibration, refit_base: bool =
     if calibration.effects:
         whole, rows = calibration.continued(recording)
         predicted = predicted + displacement(
-            calibration.effects, calibration.model, calibration.theta, whole, calibration.measuring_in_base,
+            calibration.effects, calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
             calibration.reference,
         )[rows]  # fmt: skip
     frame = _fitted_frame(recording, predicted) if refit_base else calibration.measuring_in_base
@@ -103,7 +103,7 @@ def evaluate(
     answer["earlier_visits"] = len(whole) - len(recording)
     answer["beyond"] = _beyond(recording, calibration)
     if any(e.name == UNNAMED for e in calibration.effects):
-        context = Context.of(calibration.model, calibration.theta, whole, calibration.measuring_in_base,
+        context = Context.of(calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
                              dict(calibration.reference))  # fmt: skip
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer

@@ -176,7 +176,7 @@ def _design(calibration: Calibration, recording: Recording, root: Array) -> tupl
 
 def _context(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Context:
     """What shapes look at, for the targets and then for other points of the end effector (T + E in all)."""
-    model, theta = calibration.model, calibration.theta
+    model, theta = calibration.model, calibration.laid_at
     c = Context.of(model, theta, recording, calibration.measuring_in_base, dict(calibration.reference))
     if not len(others):
         return c

@@ -64,7 +64,9 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
     theta = _theta(alone, [p for p in found if not p[0].carried and not _left_out(space, p)])
     calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")
     visits = space.recording if effects else None
-    return replace(calibration, effects=tuple(effects), reference=dict(space.context.reference), visits=visits)
+    laid = space.base.theta if effects else None
+    reference = dict(space.context.reference)
+    return replace(calibration, effects=tuple(effects), reference=reference, visits=visits, laid=laid)
 
 
 def _is_correction(candidate: Candidate) -> bool:

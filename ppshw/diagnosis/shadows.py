@@ -51,12 +51,14 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
         by_rail = other.effect == "drift" and candidate.frame in parallel
         slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
+        # a seat that each load finds anew follows anything slow, if loads lie there for long
+        seats = candidate.frame == other.frame and all(column.function == "seated" for column in candidate.columns)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
         more = candidate.effect == "nameless" and of_its_kind(other, candidate, parallel, inside)
         if more and same_place(candidate, other) and evidence < SAME_EFFECT * f.first:
             return f  # more of the same, by what the name means
-        if (same_joint or by_load or same_cause or riddle or wanders) and evidence < least:
+        if (same_joint or by_load or same_cause or riddle or wanders or seats) and evidence < least:
             return f
         if slowly and evidence < ANYWHERE * least:
             return f

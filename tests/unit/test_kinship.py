@@ -14,8 +14,10 @@ def _named(effect: str, joint: str | None, frame: str | None, component: str | N
     return Candidate(effect, joint, frame, component, covariate, (), covariates=over)
 
 
-def _rival(frame: str | None, component: str | None, *over: str, function: str = "covariate") -> Candidate:
-    columns = (Column("frame", function, {}, 1, 0),)
+def _rival(
+    frame: str | None, component: str | None, *over: str, function: str = "covariate", count: int = 3
+) -> Candidate:
+    columns = (Column("frame", function, {"count": count}, 1, 0),)
     return Candidate("nameless", None, frame, component, " × ".join(over), columns, covariates=over)
 
 
@@ -47,6 +49,10 @@ def _rival(frame: str | None, component: str | None, *over: str, function: str =
          _rival("yaw", "rx", "on_yaw_Mx")),
         (_named("wrench_error", None, None, None, "Fy"), _rival(None, None, "Fy", function="sensor_error"),
          _rival(None, None, "Fy", "q_yaw", function="sensor_off")),
+        (_named("wrench_error", None, None, None, "Fy"), _rival(None, None, "Fy", function="sensor_off", count=1),
+         _rival(None, None, "q_yaw", function="sensor_off", count=1)),
+        (_named("wrench_error", None, None, None, "Fy"), _rival(None, None, "Fy", function="sensor_off", count=1),
+         _rival(None, None, "Fy", function="sensor_off", count=3)),
     ],
 )  # fmt: skip
 def test_a_rival_is_kin_where_the_name_s_own_meaning_covers_it(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
-from ppshw.diagnosis.shadows import SHADOW, caster_of
+from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
 from ppshw.diagnosis.weights import weigh
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
@@ -382,6 +383,43 @@ def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(spac
     found = Found(warm, ("thermal_growth", "roll"), 0.0, 4000.0, first=4000.0)
     assert caster_of(tried, jump, 30.0, [found]) is found
     assert caster_of(tried, jump, 50.0, [found]) is None
+
+
+def test_seats_of_loads_follow_what_is_slow_at_their_own_frame_and_are_left_of_it_when_quiet(space: Workspace) -> None:
+    warm = [Column("frame", "temperature", {"place": "air", "tau": 0.0}, 2, 4)]
+    seats = [Column("frame", "seated", {"name": "mounting", "stay": 1}, frame, 3) for frame in (2, 3)]
+    names = space.machine.frame_names
+    grows = Candidate("thermal_growth", names[2], names[2], "ry", "temp_air_C", tuple(warm))
+    riddles = [
+        Candidate("nameless", None, names[c.frame], "rx", "mounting", (c,), covariates=("mounting",)) for c in seats
+    ]
+    tried = Tried(space, [grows, *riddles], 5e-5)
+    loud = Found(0, tried.name(0), 0.0, 1500.0, first=1500.0)
+    assert caster_of(tried, 1, 149.0, [loud]) is loud
+    assert caster_of(tried, 1, 151.0, [loud]) is None
+    assert caster_of(tried, 2, 149.0, [loud]) is None
+
+
+@pytest.mark.parametrize(("said", "asked_beside_it"), [(15.0, False), (17.0, True)])
+def test_what_a_name_s_form_left_at_its_place_does_not_speak_for_it(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, asked_beside_it: bool
+) -> None:
+    some = creep_and_riddles(space)
+    there = next(j for j, k in enumerate(some) if same_place(some[0], k) and k.effect == "nameless")
+    tried = Tried(space, some, 5e-5)
+    beside = []
+
+    def by_itself(_: Workspace, __: Tried, f: Found, others: list[Found], pieces: Sequence[Found] = ()) -> object:
+        beside.append([g.best for g in others])
+        return 160.0, 170.0, np.zeros(len(some))
+
+    monkeypatch.setattr(standing, "_by_itself", by_itself)
+    creep, riddle = Found(0, ("creep", NAME), 0.0, 160.0, first=160.0), Found(there, ("nameless", None), 0.0, said)
+    riddle.first = said
+    found = [creep, riddle]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert beside[0] == ([there] if asked_beside_it else [])
 
 
 def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Workspace) -> None:
