@@ -98,9 +98,11 @@ def diagnose(
     riddle = any(f.name[0] == "nameless" for f in found)
     unnamed = "unsettled" in without
     scatter = None if riddle else scatter_of(space, seed, any_way=True, nameless=unnamed)
-    space = space.as_learnt(but_elastic=any(f.name[0] in LOADS for f in found))
+    # what acts through compliances is of its right size beside free ones, and predicts best beside those expected
+    free = space.as_learnt(but_elastic=True) if any(f.name[0] in LOADS for f in found) else None
+    space = space.as_learnt()
     wrong = [m.finding() for m in mistakes] + gross.findings(rows)
-    answer, carried = _answer(space, tried, found, gross, scatter, unnamed, wrong)
+    answer, carried = _answer(space, free or space, tried, found, gross, scatter, unnamed, wrong)
     answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
@@ -206,20 +208,21 @@ def _without(space: Workspace, tried: Tried, found: Sequence[Found]) -> Recordin
 
 
 def _answer(
-    space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: Scatter | None, unnamed: bool,
-    wrong: list[dict[str, Any]],
+    space: Workspace, free: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: Scatter | None,
+    unnamed: bool, wrong: list[dict[str, Any]],
 ) -> tuple[dict[str, Any], Carried]:
-    """unnamed: whether scatter has no name; wrong: findings of columns and visits that are."""
+    """free: as what was found is to be described; unnamed: whether scatter has no name; wrong: findings of columns and
+    visits that are."""
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = wrong + [finding(space, tried, f) for f in _merged(named)]
+    findings = wrong + [finding(free, tried, f) for f in _merged(named)]
     unexplained = left_at_a_place(space, gross)
     if scatter is not None and not unnamed:
         findings.append(scatter.finding)
     elif scatter is not None and unexplained is None:
         unexplained = scatter_without_a_name(space, scatter)
     if left:
-        unexplained = _unexplained(space, tried, max(left, key=lambda f: f.evidence))
+        unexplained = _unexplained(free, tried, max(left, key=lambda f: f.evidence))
     carried = carry(space, tried, found)
     answer = {
         "visits": len(space.recording),

@@ -92,7 +92,8 @@ class Workspace:
     def as_learnt(self, but_elastic: bool = False) -> Workspace:
         """The same with the prior strengths as the base model learnt them: for values and predictions.
 
-        but_elastic  leave the compliances as free as they are: something was found that acts through them
+        but_elastic  leave the compliances as free as they are: held back, they make too much or too little of what acts
+                     through them
         """
         caution = np.where(but_elastic & (self.caution > CAUTION), self.caution, 1.0)
         final = replace(self, prior=self.prior / self.caution * caution, caution=caution)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import by_its_own_form
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.sampled import MOMENTS, own_component
 from ppshw.diagnosis.locate import covariates
@@ -17,6 +20,8 @@ from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import numbers_of
 from ppshw.diagnosis.wording import column_of, history_of, sentence, stand_ins
 from ppshw.diagnosis.workspace import CAUTION, FINEST, STANDS_OUT, Workspace, caution_of, prepare
+from ppshw.machine import load_machine
+from ppshw.recording import load_recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.at_hand import KnownEffects
@@ -24,6 +29,7 @@ from ppshw.terms.effect import Effect
 from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.covariates import covariate
+from simulators.concealed.case import make_case
 from tests.unit.clean_case import clean_case
 
 
@@ -590,3 +596,16 @@ def test_how_the_instrument_sees_a_reflector_is_said_in_the_recording_s_columns(
     assert len(said) == 2
     by_reflector = next(k for k in nameless(c) if k.covariate == space.recording.target_names[0])
     assert stand_ins(c, by_reflector) == [("time", f"of reflector {by_reflector.covariate}")]
+
+
+def test_a_stiffness_is_described_beside_free_compliances_and_predicts_beside_those_expected(tmp_path: Path) -> None:
+    """Held back, compliances make too much or too little of it; free, they predicted later visits worse than a
+    calibration without it (sealed 43041, 43064)."""
+    make_case(72510, "arm6", "nonlinear_stiffness", 4.0, tmp_path / "case", tmp_path / "sealed", visits=180, fit=180)
+    machine = load_machine(tmp_path / "case" / "machine.yaml")
+    made = diagnose(machine, load_recording(tmp_path / "case" / "recording.csv", machine))
+    said = next(f for f in made.answer["findings"] if f["effect"] == "nonlinear_stiffness")
+    f, candidate = next(pair for pair in made.found if pair[1].effect == "nonlinear_stiffness")
+    assert (made.space.caution == 1.0).all()
+    std = np.sqrt(by_its_own_form(made.space, candidate, f)[1][0, 0])
+    assert next(iter(said["parameters"].values()))["std"] > 1.05 * std
