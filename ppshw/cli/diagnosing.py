@@ -8,6 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ppshw.cli.answers import (
     FIGURE_HEAD,
     REPORT_S,
@@ -52,7 +54,10 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
-    warn(a.rec, warnings := doubts(recording))
+    warnings = doubts(recording)
+    if not np.isfinite(recording.time).all():
+        warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
+    warn(a.rec, warnings)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     answer = {**found.answer, "warnings": warnings}

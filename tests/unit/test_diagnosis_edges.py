@@ -104,8 +104,11 @@ def test_what_needs_a_wrench_or_a_thermometer_is_not_spoken_of_without_them(case
 
 
 def test_directions_that_nobody_wrote_down_are_those_of_the_moves_between_visits(case: Case, tmp_path: Path) -> None:
-    case.without(lambda name: name.startswith("approach_"))
-    assert {"backlash", "friction_hysteresis"} <= effects(answered(case, tmp_path))
+    """And times are those of a usual pace, which is said."""
+    case.without(lambda name: name.startswith("approach_") or name == "time")
+    answer = answered(case, tmp_path)
+    assert {"backlash", "friction_hysteresis"} <= effects(answer)
+    assert answer["warnings"] == ["no column time: what goes with time is said in hours at 40 visits an hour"]
 
 
 def test_a_wrong_visit_and_a_wrong_column_are_said(case: Case, tmp_path: Path) -> None:
