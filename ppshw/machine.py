@@ -164,6 +164,7 @@ def load_machine(path: Path | str) -> Machine:
     for twin in set(points) & set(targets):
         tip.fail(f"'{twin}' is both a target and a point", "points")
     tip.done()
+    _refuse_shared_columns(top, tip, joints, targets, points)
     sensor_in_link = np.eye(4)
     if (sensor := top.section("force_sensor", optional=True)) is not None:
         sensor_in_link = _origin(sensor)
@@ -246,6 +247,27 @@ def _named_points(tip: Section, key: str, optional: bool = False) -> dict[str, A
     out = {name: found.vector(name, 3) for name in found.keys()}  # noqa: SIM118
     found.done()
     return out
+
+
+def _refuse_shared_columns(
+    top: Section, tip: Section, joints: tuple[Joint, ...], targets: dict[str, Array], points: dict[str, Array]
+) -> None:
+    """A reflector `q` on a joint `x`, or joints `x` and `cmd_x`: of two columns of one name in a recording
+    (`recording.columns_for`) the second would be written over the first."""
+    owners: dict[str, str] = {}
+
+    def claim(owner: str, columns: list[str], section: Section, key: str) -> None:
+        for column in columns:
+            if column in owners:
+                section.fail(f"{owner} and {owners[column]} both have the column {column} in a recording, "
+                             "expected another name for one of them", key)  # fmt: skip
+            owners[column] = owner
+
+    for name in (j.name for j in joints):
+        claim(f"joint '{name}'", [f"{prefix}_{name}" for prefix in ("q_cmd", "q", "approach")], top, "joints")
+    for kind, names in (("target", targets), ("point", points)):
+        for name in names:
+            claim(f"{kind} '{name}'", [f"{name}_{axis}" for axis in "xyz"], tip, f"{kind}s")
 
 
 def _tracker(top: Section) -> TrackerModel:

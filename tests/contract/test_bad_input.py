@@ -84,6 +84,15 @@ MACHINES: dict[str, tuple[Spoil, str]] = {
     "a joint's name twice": (swap("name: turn", "name: rail"), ":11: joint name 'rail' is used twice"),
     "a target's name twice": (swap("P2: [-0.2, 0.2, 0]", "P1: [-0.2, 0.2, 0]"), "duplicate key 'tip.targets.P1'"),
     "a target that is a point": (swap("treatment:", "P1:"), "'P1' is both a target and a point"),
+    "a target whose columns are a joint's": (
+        put("name: g\ngravity: [0, 0, -9.8]\njoints: [{name: x, type: prismatic, axis: [1, 0, 0]}]\n"
+            "tip: {targets: {q: [0, 0, 0]}}\n"), ":4: target 'q' and joint 'x' both have the column q_x in a recording"),
+    "a point whose columns are a joint's": (
+        put("name: g\ngravity: [0, 0, -9.8]\njoints: [{name: z, type: prismatic, axis: [1, 0, 0]}]\n"
+            "tip:\n  targets: {P: [0, 0, 0]}\n  points: {approach: [0, 0, 1]}\n"),
+        ":6: point 'approach' and joint 'z' both have the column approach_z in a recording"),
+    "a joint whose encoder is another's setpoint": (
+        swap("name: turn", "name: cmd_rail"), "joint 'cmd_rail' and joint 'rail' both have the column q_cmd_rail in a recording"),
     "a key twice": (swap("name: cell\n", "name: cell\nname: cell\n"), ":2: duplicate key 'name'"),
     "a crooked axis": (swap("axis: [1, 0, 0]", "axis: [1, 1, 0]"), "has length 1.41421, expected a unit vector"),
     "no axis": (swap("axis: [1, 0, 0]", "axis: [0, 0, 0]"), "has length 0, expected a unit vector"),

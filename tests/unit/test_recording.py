@@ -123,6 +123,8 @@ def test_a_file_is_never_made_over_another(tmp_path: Path) -> None:
         RecordingFile.create(tmp_path / "nowhere" / "r.db", ["q"], {})
     with pytest.raises(RecordingError, match=r"wide\.db: cannot be made \(too many columns"):
         RecordingFile.create(tmp_path / "wide.db", [f"c{k}" for k in range(3000)], {})
+    with pytest.raises(RecordingError, match=r"twice\.db: column q_x is there twice, expected every name once"):
+        RecordingFile.create(tmp_path / "twice.db", ["q_x", "load", "q_x"], {})
 
 
 DIE = """\
