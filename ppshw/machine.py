@@ -20,6 +20,8 @@ from ppshw.strict_yaml import Section, read_yaml
 from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
+STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
+MOST_TURNS = 3.0  # of a joint before its limits look like degrees
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -154,6 +156,8 @@ def load_machine(path: Path | str) -> Machine:
     top = read_yaml(path, MachineFileError)
     name = top.text("name")
     gravity = top.vector("gravity", 3)
+    if (size := float(np.linalg.norm(gravity))) > STRONGEST:
+        top.fail(f"'gravity' is {size:g} long, expected at most {STRONGEST:g} m/s² (9.81 on Earth)", "gravity")
     joints = _joints(top)
     tip = top.need("tip")
     tip_in_link = _origin(tip)
@@ -179,6 +183,18 @@ def load_machine(path: Path | str) -> Machine:
         name, gravity, joints, tip_in_link, targets, points, sensor_in_link, repeatability, tracker,
         str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest(),
     )  # fmt: skip
+
+
+def doubts(machine: Machine) -> list[str]:
+    """What is odd about a machine that can be used even so, each in a line: an axis with a slip ring does turn on."""
+    said = []
+    for joint in machine.joints:
+        if joint.prismatic or joint.limits is None:
+            continue
+        low, high = joint.limits.lower, joint.limits.upper
+        if (turns := (high - low) / (2 * math.pi)) > MOST_TURNS:
+            said.append(f"joint '{joint.name}': {low:g} … {high:g} rad is {turns:.1f} turns; are these degrees?")
+    return said
 
 
 def _joints(top: Section) -> tuple[Joint, ...]:

@@ -94,6 +94,7 @@ MACHINES: dict[str, tuple[Spoil, str]] = {
     "a joint whose encoder is another's setpoint": (
         swap("name: turn", "name: cmd_rail"), "joint 'cmd_rail' and joint 'rail' both have the column q_cmd_rail in a recording"),
     "a key twice": (swap("name: cell\n", "name: cell\nname: cell\n"), ":2: duplicate key 'name'"),
+    "gravity in mm/s²": (swap("[0, 0, -9.80665]", "[0, 0, -9806.65]"), ":2: 'gravity' is 9806.65 long, expected at most 20 m/s²"),
     "a crooked axis": (swap("axis: [1, 0, 0]", "axis: [1, 1, 0]"), "has length 1.41421, expected a unit vector"),
     "no axis": (swap("axis: [1, 0, 0]", "axis: [0, 0, 0]"), "has length 0, expected a unit vector"),
     "an unknown type": (swap("type: prismatic", "type: linear"), "is 'linear', expected prismatic or revolute"),
@@ -196,6 +197,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
     "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
     "semicolons between columns": (swap(",", ";", -1), ":1: columns are separated by ';', expected ','"),
+    "a row of commas": (lambda p: put(p.read_text() + "," * 26 + "\n")(p), ": an empty row, commas only"),
     "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
     "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
     "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),

@@ -234,6 +234,22 @@ def test_a_plan_is_listed_with_every_setpoint(desk: Path) -> None:
     assert len(found["plan"]) == 10
 
 
+def test_plan_asks_whether_limits_of_many_turns_are_degrees(desk: Path) -> None:
+    """And goes on, since an axis on a slip ring does turn on."""
+    text = (desk / "machine.yaml").read_text(encoding="utf-8")
+    assert "lower: -1.5, upper: 1.5" in text
+    words = ["plan", desk / "little.yaml", "--machine", desk / "degrees.yaml", "--json"]
+    for turn, warnings in (
+        (9.4, []),
+        (90, ["joint 'turn': -90 … 90 rad is 28.6 turns; are these degrees?"]),
+    ):
+        wide = text.replace("lower: -1.5, upper: 1.5", f"lower: -{turn}, upper: {turn}")
+        (desk / "degrees.yaml").write_text(wide, encoding="utf-8")
+        said = ppshw(*words)
+        assert (said.code, json.loads(said.out)["warnings"]) == (0, warnings)
+        assert said.err == "".join(f"warning: {desk / 'degrees.yaml'}: {w}\n" for w in warnings)
+
+
 def test_answers_in_words_fit_a_terminal(desk: Path, tmp_path: Path) -> None:
     machine = ["--machine", desk / "machine.yaml"]
     for words in (

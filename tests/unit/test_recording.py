@@ -44,6 +44,13 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_lines_of_nothing_but_spaces_are_no_visits(tmp_path: Path) -> None:
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", "", " \t", "0.3,0.4,4,5,6", "  ")
+    assert found.q.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    with pytest.raises(RecordingError, match=r"r\.csv:3: an empty row, commas only"):
+        read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", " ,,,", "0.3,0.4,4,5,6")
+
+
 def test_an_encoder_that_said_nothing_is_where_it_was_sent(tmp_path: Path) -> None:
     found = read(tmp_path, "q_cmd_rail,q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.1,0.1001,0.2,0,0,0", "0.3,,0.4,0,0,0")
     assert found.q.tolist() == [[0.1001, 0.2], [0.3, 0.4]]
