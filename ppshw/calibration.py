@@ -22,6 +22,7 @@ from ppshw import __version__
 from ppshw.errors import CalibrationError
 from ppshw.identification.joint import Estimate
 from ppshw.identification.noise import Noise
+from ppshw.identification.plausible import loads_not_measured
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -103,6 +104,12 @@ class Calibration:
     def machine(self) -> Machine:
         return self.model.machine
 
+    def doubts(self) -> list[str]:
+        """What whoever moves axes by it should know, each in a line."""
+        loads = self.provenance.get("loads_not_measured")
+        return [f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
+                "its std_mm knows nothing of what they do"] if loads else []  # fmt: skip
+
     def identified_joints(self, margin: float = RANGE_MARGIN) -> list[Identified]:
         """Per joint, in the chain's order; margin: share of the range that is let pass beyond its ends."""
         return [Identified(j.name, j.unit, low, high, margin * (high - low) + SLACK_JOINT)
@@ -138,6 +145,8 @@ class Calibration:
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }
+        if loads := loads_not_measured(recording):
+            provenance["loads_not_measured"] = ", ".join(loads)
         sampled = {}
         for k, name in enumerate(machine.joint_names):
             positions = np.unique(np.round(used.q[:, k], 4))

@@ -319,6 +319,27 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     assert len(json.loads(said.out)["warnings"]) == 2
 
 
+def test_a_calibration_from_loads_that_nobody_measured_says_so_where_it_moves_axes(desk: Path) -> None:
+    machine = ["--machine", desk / "machine.yaml"]
+    ask = ["compensate", *machine, "--joints", "0", "0", "--wrench", "0", "0", "0", "0", "0", "0", "--json", "--calibration"]
+    header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
+    for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+        column(name, None)(desk / "good.csv")
+    assert ppshw("identify", desk / "good.csv", *machine, "--out", desk / "new.json").code == 0
+    said = ppshw(*ask, desk / "new.json")
+    loads = ", ".join(sorted({row[header.index("load")] for row in rows}))
+    warning = (f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and its "
+               "std_mm knows nothing of what they do")  # fmt: skip
+    assert (said.code, said.err) == (0, f"warning: {desk / 'new.json'}: {warning}\n")
+    assert json.loads(said.out)["warnings"] == [warning]
+    said = ppshw("run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db", "--calibration",
+                 desk / "new.json")  # fmt: skip
+    assert f"warning: {desk / 'new.json'}: {warning}\n" in said.err
+    column("load", "empty")(desk / "good.csv")  # one load all the time, as far as anybody knows
+    assert ppshw("identify", desk / "good.csv", *machine, "--out", desk / "new.json").code == 0
+    assert ppshw(*ask, desk / "new.json").err == ""
+
+
 def test_a_fit_that_leaves_more_than_the_ideal_machine_is_not_written(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No recording at hand makes one: what counts as no better is turned down to nothing."""
     monkeypatch.setattr("ppshw.cli.fit.NO_BETTER", 0.0)
