@@ -146,7 +146,7 @@ class Calibration:
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }
         if loads := loads_not_measured(recording):
-            provenance["loads_not_measured"] = ", ".join(loads)
+            provenance["loads_not_measured"] = loads
         sampled = {}
         for k, name in enumerate(machine.joint_names):
             positions = np.unique(np.round(used.q[:, k], 4))
