@@ -22,6 +22,7 @@ from ppshw import __version__
 from ppshw.errors import CalibrationError
 from ppshw.identification.joint import Estimate
 from ppshw.identification.noise import Noise
+from ppshw.identification.plausible import loads_not_measured
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -38,8 +39,26 @@ Mask = NDArray[np.bool_]
 FORMAT = "ppshw calibration 1"
 # Sampled positions that are listed in full; a random campaign has one per visit and says so by its range.
 MOST_POSITIONS = 200
+# Beyond the ends of what was identified this is let pass: a share of the range, and what readings scatter by.
+RANGE_MARGIN = 0.02
+SLACK_JOINT, SLACK_FORCE, SLACK_MOMENT = 1e-6, 5.0, 2.0  # [m or rad], [N], [N m]
 # Metres, radians, newtons and what is made of them stay far below; beyond, squares would overflow.
 LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Between which values a joint or a load component was identified [unit], and how far beyond is let pass."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    slack: float
+
+    def is_outside(self, values: Array) -> Mask:
+        """What is no number is outside too."""
+        return np.logical_not((values >= self.low - self.slack) & (values <= self.high + self.slack))
 
 
 @dataclass(frozen=True)
@@ -85,6 +104,23 @@ class Calibration:
     def machine(self) -> Machine:
         return self.model.machine
 
+    def doubts(self) -> list[str]:
+        """What whoever moves axes by it should know, each in a line."""
+        loads = self.provenance.get("loads_not_measured")
+        return [f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
+                "its std_mm knows nothing of what they do"] if loads else []  # fmt: skip
+
+    def identified_joints(self, margin: float = RANGE_MARGIN) -> list[Identified]:
+        """Per joint, in the chain's order; margin: share of the range that is let pass beyond its ends."""
+        return [Identified(j.name, j.unit, low, high, margin * (high - low) + SLACK_JOINT)
+                for j, (low, high) in zip(self.machine.joints, self.joint_range.tolist(), strict=True)]  # fmt: skip
+
+    def identified_loads(self, margin: float = RANGE_MARGIN) -> list[Identified]:
+        """Per component of the payload on the sensor, margin as for joints."""
+        units, slacks = np.repeat(["N", "N m"], 3).tolist(), np.repeat([SLACK_FORCE, SLACK_MOMENT], 3).tolist()
+        return [Identified(name, unit, low, high, margin * (high - low) + slack) for name, unit, slack, (low, high)
+                in zip(WRENCH_COMPONENTS, units, slacks, self.payload_range.tolist(), strict=True)]  # fmt: skip
+
     def continued(self, recording: Recording) -> tuple[Recording, Mask]:
         """A recording with what this calibration knows of the visits before and between its own, and which rows are
         its own (N,): `earlier.continued`. That which the calibration was made from stands for itself."""
@@ -109,6 +145,8 @@ class Calibration:
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }
+        if loads := loads_not_measured(recording):
+            provenance["loads_not_measured"] = loads
         sampled = {}
         for k, name in enumerate(machine.joint_names):
             positions = np.unique(np.round(used.q[:, k], 4))

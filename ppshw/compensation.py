@@ -19,7 +19,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
 from ppshw.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
 from ppshw.kinematics import frames, freedoms, point_jacobian, point_positions, tip_poses
-from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.machine import Machine
 from ppshw.quantities import distance
 from ppshw.recording import Around, Recording
 from ppshw.terms import Situation
@@ -219,21 +219,17 @@ class Compensator:
 
     def _refuse_outside(self, q: Array, payload: Array) -> None:
         margin = self.bounds.range_margin
-        for k, name in enumerate(self.machine.joint_names):
-            low, high = self.calibration.joint_range[k]
-            slack = margin * (high - low) + 1e-6
-            if not low - slack <= q[k] <= high + slack:
-                unit = self.machine.joints[k].unit
+        for joint, value in zip(self.calibration.identified_joints(margin), q.tolist(), strict=True):
+            if joint.is_outside(value):
                 raise CompensationRefused(
-                    f"joint '{name}' at {q[k]:.6g} {unit} is outside what was identified, {low:.6g} … {high:.6g}"
+                    f"joint '{joint.name}' at {value:.6g} {joint.unit} is outside what was identified, "
+                    f"{joint.low:.6g} … {joint.high:.6g}"
                 )
-        for k, name in enumerate(WRENCH_COMPONENTS):
-            low, high = self.calibration.payload_range[k]
-            unit = "N" if k < 3 else "N m"
-            slack = margin * (high - low) + (5.0 if k < 3 else 2.0)
-            if not low - slack <= payload[k] <= high + slack:
+        for load, value in zip(self.calibration.identified_loads(margin), payload.tolist(), strict=True):
+            if load.is_outside(value):
                 raise CompensationRefused(
-                    f"load {name} = {payload[k]:.6g} {unit} is outside what was identified, {low:.6g} … {high:.6g}"
+                    f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
+                    f"{load.low:.6g} … {load.high:.6g}"
                 )
 
     def _refuse_correction(self, corrected: Array, nominal: Array) -> None:

@@ -83,10 +83,10 @@ def evaluate(
     recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
 ) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
-    the numbers of visits that no error of a machine explains, and whether the calibration was identified from this very
-    recording; where it carries effects, how many visits of its own recording this one goes on from, and how many are at
-    temperatures that its effects were never measured at; where structure without a name, how many visits lie where
-    nothing is known of it."""
+    the numbers of visits that no error of a machine explains, whether the calibration was identified from this very
+    recording, and how many visits lie outside what it was identified from; where it carries effects, how many visits of
+    its own recording this one goes on from, and how many are at temperatures that its effects were never measured at;
+    where structure without a name, how many visits lie where nothing is known of it."""
     left = nominal_residuals(recording, machine, refit_base)
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
@@ -97,6 +97,7 @@ def evaluate(
     }  # fmt: skip
     if calibration is not None:
         answer["identified_from_it"] = recording.sha256 == calibration.provenance.get("recording_sha256")
+        answer["outside"] = _outside(recording, calibration)
     if calibration is None or not calibration.effects:
         return answer
     whole, rows = calibration.continued(recording)
@@ -107,6 +108,22 @@ def evaluate(
                              dict(calibration.reference))  # fmt: skip
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer
+
+
+def _outside(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
+    """Per joint and load component that goes beyond what was identified: that range, how many visits with a reading lie
+    outside it, and the value farthest out. Those with most visits first."""
+    seen = recording.seen.any(axis=1)
+    known = zip([*calibration.identified_joints(), *calibration.identified_loads()],
+                np.hstack([recording.q, recording.wrench]).T, strict=True)  # fmt: skip
+    out = []
+    for each, values in known:
+        there = values[each.is_outside(values) & seen]
+        if len(there):
+            farthest = there[np.argmax(np.maximum(each.low - there, there - each.high))]
+            out.append({"of": each.name, "unit": each.unit, "low": each.low, "high": each.high,
+                        "visits": len(there), "farthest": float(farthest)})  # fmt: skip
+    return sorted(out, key=lambda found: -found["visits"])
 
 
 def _beyond(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:

@@ -161,11 +161,8 @@ def _allowed(slow: Compensator) -> Allowed:
     from ppshw.fast_kernel import Allowed
 
     c, bounds, machine = slow.calibration, slow.bounds, slow.machine
-    ends = []
-    for table, extra in ((c.joint_range, np.full(machine.n, 1e-6)), (c.payload_range, np.repeat([5.0, 2.0], 3))):
-        low, high = table.T
-        slack = bounds.range_margin * (high - low) + extra
-        ends.append(np.stack([low - slack, high + slack], axis=1))
+    identified = (c.identified_joints(bounds.range_margin), c.identified_loads(bounds.range_margin))
+    ends = [np.array([[each.low - each.slack, each.high + each.slack] for each in some]) for some in identified]
     correction = np.array([bounds.travel if j.prismatic else bounds.angle for j in machine.joints])
     return Allowed(ends[0], ends[1], correction, np.stack(machine.limits(), axis=1))
 

@@ -20,6 +20,8 @@ from ppshw.strict_yaml import Section, read_yaml
 from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
+STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
+MOST_TURNS = 3.0  # of a joint before its limits look like degrees
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -154,6 +156,8 @@ def load_machine(path: Path | str) -> Machine:
     top = read_yaml(path, MachineFileError)
     name = top.text("name")
     gravity = top.vector("gravity", 3)
+    if (size := float(np.linalg.norm(gravity))) > STRONGEST:
+        top.fail(f"'gravity' is {size:g} long, expected at most {STRONGEST:g} m/s² (9.81 on Earth)", "gravity")
     joints = _joints(top)
     tip = top.need("tip")
     tip_in_link = _origin(tip)
@@ -164,6 +168,7 @@ def load_machine(path: Path | str) -> Machine:
     for twin in set(points) & set(targets):
         tip.fail(f"'{twin}' is both a target and a point", "points")
     tip.done()
+    _refuse_shared_columns(top, tip, joints, targets, points)
     sensor_in_link = np.eye(4)
     if (sensor := top.section("force_sensor", optional=True)) is not None:
         sensor_in_link = _origin(sensor)
@@ -178,6 +183,18 @@ def load_machine(path: Path | str) -> Machine:
         name, gravity, joints, tip_in_link, targets, points, sensor_in_link, repeatability, tracker,
         str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest(),
     )  # fmt: skip
+
+
+def doubts(machine: Machine) -> list[str]:
+    """What is odd about a machine that can be used even so, each in a line: an axis with a slip ring does turn on."""
+    said = []
+    for joint in machine.joints:
+        if joint.prismatic or joint.limits is None:
+            continue
+        low, high = joint.limits.lower, joint.limits.upper
+        if (turns := (high - low) / (2 * math.pi)) > MOST_TURNS:
+            said.append(f"joint '{joint.name}': {low:g} … {high:g} rad is {turns:.1f} turns; are these degrees?")
+    return said
 
 
 def _joints(top: Section) -> tuple[Joint, ...]:
@@ -246,6 +263,27 @@ def _named_points(tip: Section, key: str, optional: bool = False) -> dict[str, A
     out = {name: found.vector(name, 3) for name in found.keys()}  # noqa: SIM118
     found.done()
     return out
+
+
+def _refuse_shared_columns(
+    top: Section, tip: Section, joints: tuple[Joint, ...], targets: dict[str, Array], points: dict[str, Array]
+) -> None:
+    """A reflector `q` on a joint `x`, or joints `x` and `cmd_x`: of two columns of one name in a recording
+    (`recording.columns_for`) the second would be written over the first."""
+    owners: dict[str, str] = {}
+
+    def claim(owner: str, columns: list[str], section: Section, key: str) -> None:
+        for column in columns:
+            if column in owners:
+                section.fail(f"{owner} and {owners[column]} both have the column {column} in a recording, "
+                             "expected another name for one of them", key)  # fmt: skip
+            owners[column] = owner
+
+    for name in (j.name for j in joints):
+        claim(f"joint '{name}'", [f"{prefix}_{name}" for prefix in ("q_cmd", "q", "approach")], top, "joints")
+    for kind, names in (("target", targets), ("point", points)):
+        for name in names:
+            claim(f"{kind} '{name}'", [f"{name}_{axis}" for axis in "xyz"], tip, f"{kind}s")
 
 
 def _tracker(top: Section) -> TrackerModel:

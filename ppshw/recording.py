@@ -382,8 +382,10 @@ def _read_csv(path: Path) -> Table:
         if len(header) == 1 and (separator := next((c for c in ";\t|" if c in header[0]), "")):
             raise RecordingError(f"{path}:1: columns are separated by {separator!r}, expected ',' (and decimal points)")
         for row in reader:
-            if not row:
+            if len(row) <= 1 and not "".join(row).strip():  # a blank line, spaces or none
                 continue
+            if not any(cell.strip() for cell in row):
+                raise RecordingError(f"{path}:{reader.line_num}: an empty row, commas only, no visit")
             if len(row) != len(header):
                 raise RecordingError(
                     f"{path}:{reader.line_num}: {len(row)} cells, the header has {len(header)}; is the file cut off?"

@@ -79,6 +79,8 @@ class RecordingFile:
             raise RecordingError(f"{path}: exists already, expected a new file")
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: the folder {path.parent} does not exist")
+        if twice := [name for k, name in enumerate(columns) if name in columns[:k]]:
+            raise RecordingError(f"{path}: column {twice[0]} is there twice, expected every name once")
         try:
             with written_whole(path) as partial:
                 _create(partial, columns, meta)

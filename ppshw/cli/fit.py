@@ -22,6 +22,7 @@ from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
 
 FEW = 40  # visits
+SAID = 3  # joints and loads outside what was identified; --json has all
 NO_BETTER = 1.05  # times what the ideal machine leaves; a fit that leaves more has failed
 
 
@@ -123,6 +124,11 @@ def evaluate(a: argparse.Namespace) -> None:
         lines.append("the calibration was identified from this very recording: not what it is worth on others")
     if answer.get("earlier_visits"):
         lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
+    if outside := answer.get("outside"):
+        said = [f"{o['of']} at {o['visits']} visit{'s' * (o['visits'] > 1)} ({o['farthest']:.4g} {o['unit']}, "
+                f"identified {o['low']:.4g} … {o['high']:.4g})" for o in outside]  # fmt: skip
+        more = f" and {len(said) - SAID} more" if len(said) > SAID else ""
+        lines.append(f"outside what was identified, carried on there: {', '.join(said[:SAID])}{more}")
     for b in answer.get("beyond", ()):
         lines.append(f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
                      f"{b['high_C']:.1f} °C at which effects were measured; carried on there")

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ppshw.cli.answers import new_file, say
+from ppshw.cli.answers import new_file, say, warn
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
@@ -17,9 +17,11 @@ def plan(a: argparse.Namespace) -> None:
     """plan: a script's visits; or, with --visits, --accuracy or --after, the design of a new script."""
     from campaigns.plan import plan_campaign
     from campaigns.script import load_script
+    from ppshw.machine import doubts
 
     machine = machine_of(a)
-    answer: dict[str, Any] = {}
+    warn(machine.file, warnings := doubts(machine))
+    answer: dict[str, Any] = {"warnings": warnings}
     lines: list[str] = []
     asked = {f"--{k}": v for k, v in vars(a).items() if k in _OF_A_DESIGN and v is not None}
     if a.joint is not None and a.to_separate is None:

@@ -37,12 +37,13 @@ def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
 
 
 def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
-    """What corrects setpoints by the calibration, and warnings of options that it has no use for."""
+    """What corrects setpoints by the calibration, and warnings: of what it was made from, and of options that it
+    has no use for."""
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Bounds, Compensator
 
     calibration = load_calibration(a.calibration, machine_of(a))
-    warnings = []
+    warnings = calibration.doubts()
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
     return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings

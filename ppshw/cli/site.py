@@ -9,7 +9,7 @@ from itertools import zip_longest
 from shutil import get_terminal_size
 from typing import Any
 
-from ppshw.cli.answers import new_file, say
+from ppshw.cli.answers import new_file, say, warn
 from ppshw.cli.setpoints import final_approach
 from ppshw.errors import HardwareError
 from ppshw.progress import Bar, folded
@@ -28,7 +28,7 @@ def run(a: argparse.Namespace) -> None:
     site = load_site(a.site)
     found = plan_campaign(load_script(a.campaign), site.machine)
     check_moves(found, site)
-    correct, label = _setpoint_map(a, site, found)
+    correct, label, warnings = _setpoint_map(a, site, found)
     out = new_file(a.out, a.site, site.machine.file)
     with only_writer(out), open_bench(site) as bench, Bar() as bar:
         result = run_campaign(
@@ -41,6 +41,7 @@ def run(a: argparse.Namespace) -> None:
     lines = [f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all"]
     if correct is not None:
         answer |= {"compensated": correct.as_dicts(True), "not_compensated": correct.as_dicts(False)}
+        answer["warnings"] = warnings
         lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in correct.said]
         if correct.position_first and result.measured:
             off, turned = (correct.left * 1e3).tolist()
@@ -49,20 +50,22 @@ def run(a: argparse.Namespace) -> None:
     say(a, answer, folded(lines))
 
 
-def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str]:
-    """Compensated setpoints for a whole campaign, when a calibration is given; refused here where they would be."""
+def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str, list[str]]:
+    """Compensated setpoints for a whole campaign, when a calibration is given; refused here where they would be; and
+    warnings of that calibration."""
     if a.calibration is None:
-        return None, "as planned"
+        return None, "as planned", []
     from campaigns.corrected import corrected_plan
     from campaigns.site import check_moves
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator
 
-    compensator = Compensator(load_calibration(a.calibration, site.machine))
+    compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
+    warn(a.calibration, warnings := calibration.doubts())
     with Bar() as bar:
         foreseen = corrected_plan(plan, compensator, final_approach(site), lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
-    return compensator.setpoint_map(final_approach=final_approach(site)), file_hash(a.calibration)
+    return compensator.setpoint_map(final_approach=final_approach(site)), file_hash(a.calibration), warnings
 
 
 def check(a: argparse.Namespace) -> None:

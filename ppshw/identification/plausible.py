@@ -65,14 +65,22 @@ def doubts(recording: Recording) -> list[str]:
             f"{len(copies)} visits read the same as an earlier one to the last digit ({listed(copies)}): are these "
             "rows copies?"
         )
-    loads = sorted(set(recording.load) - {""})
-    if len(loads) > 1 and (recording.wrench == recording.wrench[0]).all():
+    if loads := loads_not_measured(recording):
         silent = "the columns Fx … Mz read the same at every visit" if recording.has_wrench else "no columns Fx … Mz"
         said.append(
-            f"{silent}, though loads change ({', '.join(loads[:3])}{' …' if len(loads) > 3 else ''}): what they do to "
+            f"{silent}, though loads change ({loads}): what they do to "
             "the machine cannot be told from its errors"
         )
     return said
+
+
+def loads_not_measured(recording: Recording) -> str:
+    """The first three labels of loads that changed without a word of the wrench: no columns, or a sensor that always
+    read the same. Empty where it did say."""
+    loads = sorted(set(recording.load) - {""})
+    if len(loads) < 2 or (recording.wrench != recording.wrench[0]).any():
+        return ""
+    return ", ".join(loads[:3]) + (" …" if len(loads) > 3 else "")
 
 
 def far_off(errors: Array) -> NDArray[np.bool_]:

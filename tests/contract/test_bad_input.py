@@ -84,7 +84,17 @@ MACHINES: dict[str, tuple[Spoil, str]] = {
     "a joint's name twice": (swap("name: turn", "name: rail"), ":11: joint name 'rail' is used twice"),
     "a target's name twice": (swap("P2: [-0.2, 0.2, 0]", "P1: [-0.2, 0.2, 0]"), "duplicate key 'tip.targets.P1'"),
     "a target that is a point": (swap("treatment:", "P1:"), "'P1' is both a target and a point"),
+    "a target whose columns are a joint's": (
+        put("name: g\ngravity: [0, 0, -9.8]\njoints: [{name: x, type: prismatic, axis: [1, 0, 0]}]\n"
+            "tip: {targets: {q: [0, 0, 0]}}\n"), ":4: target 'q' and joint 'x' both have the column q_x in a recording"),
+    "a point whose columns are a joint's": (
+        put("name: g\ngravity: [0, 0, -9.8]\njoints: [{name: z, type: prismatic, axis: [1, 0, 0]}]\n"
+            "tip:\n  targets: {P: [0, 0, 0]}\n  points: {approach: [0, 0, 1]}\n"),
+        ":6: point 'approach' and joint 'z' both have the column approach_z in a recording"),
+    "a joint whose encoder is another's setpoint": (
+        swap("name: turn", "name: cmd_rail"), "joint 'cmd_rail' and joint 'rail' both have the column q_cmd_rail in a recording"),
     "a key twice": (swap("name: cell\n", "name: cell\nname: cell\n"), ":2: duplicate key 'name'"),
+    "gravity in mm/s²": (swap("[0, 0, -9.80665]", "[0, 0, -9806.65]"), ":2: 'gravity' is 9806.65 long, expected at most 20 m/s²"),
     "a crooked axis": (swap("axis: [1, 0, 0]", "axis: [1, 1, 0]"), "has length 1.41421, expected a unit vector"),
     "no axis": (swap("axis: [1, 0, 0]", "axis: [0, 0, 0]"), "has length 0, expected a unit vector"),
     "an unknown type": (swap("type: prismatic", "type: linear"), "is 'linear', expected prismatic or revolute"),
@@ -187,6 +197,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
     "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
     "semicolons between columns": (swap(",", ";", -1), ":1: columns are separated by ';', expected ','"),
+    "a row of commas": (lambda p: put(p.read_text() + "," * 26 + "\n")(p), ": an empty row, commas only"),
     "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
     "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
     "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),
@@ -306,6 +317,27 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     said = ppshw("evaluate", *common, "--json")
     assert "no columns Fx … Mz, though loads change (" in said.err
     assert len(json.loads(said.out)["warnings"]) == 2
+
+
+def test_a_calibration_from_loads_that_nobody_measured_says_so_where_it_moves_axes(desk: Path) -> None:
+    machine = ["--machine", desk / "machine.yaml"]
+    ask = ["compensate", *machine, "--joints", "0", "0", "--wrench", "0", "0", "0", "0", "0", "0", "--json", "--calibration"]
+    header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
+    for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+        column(name, None)(desk / "good.csv")
+    assert ppshw("identify", desk / "good.csv", *machine, "--out", desk / "new.json").code == 0
+    said = ppshw(*ask, desk / "new.json")
+    loads = ", ".join(sorted({row[header.index("load")] for row in rows})[:3]) + " …"
+    warning = (f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and its "
+               "std_mm knows nothing of what they do")  # fmt: skip
+    assert (said.code, said.err) == (0, f"warning: {desk / 'new.json'}: {warning}\n")
+    assert json.loads(said.out)["warnings"] == [warning]
+    said = ppshw("run", desk / "little.yaml", "--site", desk / "site.yaml", "--out", desk / "new.db", "--calibration",
+                 desk / "new.json")  # fmt: skip
+    assert f"warning: {desk / 'new.json'}: {warning}\n" in said.err
+    column("load", "empty")(desk / "good.csv")  # one load all the time, as far as anybody knows
+    assert ppshw("identify", desk / "good.csv", *machine, "--out", desk / "new.json").code == 0
+    assert ppshw(*ask, desk / "new.json").err == ""
 
 
 def test_a_fit_that_leaves_more_than_the_ideal_machine_is_not_written(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -159,14 +159,38 @@ def test_identify_and_evaluate_answer_the_same_for_both_forms(desk: Path) -> Non
         assert set(said["fit"]) == FIGURES
         assert (said["visits"], said["readings"], said["method"]) == (90, 270, "joint")
         judged = answer("evaluate", desk / f"good.{form}", *machine, "--calibration", desk / f"{form}.json")
-        more = {"nominal", "far_off", "identified_from_it", "warnings"}
+        more = {"nominal", "far_off", "identified_from_it", "outside", "warnings"}
         assert set(judged) == {"visits", "readings", *more, *FIGURES}
-        assert (judged["far_off"], judged["identified_from_it"], judged["warnings"]) == ([], True, [])
+        assert judged["identified_from_it"]
+        assert judged["far_off"] == judged["outside"] == judged["warnings"] == []
         assert set(judged["nominal"]) == FIGURES
         found[form] = judged
     assert found["csv"] == found["db"]
     assert found["csv"]["rms_mm"] < 0.1
     assert found["csv"]["nominal"]["rms_mm"] > 1.0
+
+
+def test_evaluate_says_which_visits_lie_outside_what_was_identified(desk: Path) -> None:
+    """Identified with the lighter two of four loads and left of 0.3 m, judged on all."""
+    header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
+    weight = {r[header.index("load")]: -float(r[header.index("Fz")]) for r in rows}
+    light, heavy = sorted(weight, key=weight.__getitem__)[:2], sorted(weight, key=weight.__getitem__)[2:]
+    rail = {id(r): float(r[header.index("q_rail")]) for r in rows}
+    few = [r for r in rows if rail[id(r)] < 0.3 and r[header.index("load")] in light]
+    (desk / "few.csv").write_text("\n".join(map(",".join, (header, *few))) + "\n", encoding="utf-8")
+    machine = ["--machine", desk / "machine.yaml"]
+    assert ppshw("identify", desk / "few.csv", *machine, "--out", desk / "few.json").code == 0
+    judged = ["evaluate", desk / "good.csv", *machine, "--calibration", desk / "few.json"]
+    found = answer(*judged)["outside"]
+    assert [o["visits"] for o in found] == sorted((o["visits"] for o in found), reverse=True)
+    by_name = {o["of"]: o for o in found}
+    assert by_name["Fz"]["visits"] == sum(r[header.index("load")] in heavy for r in rows)
+    first, last = min(rail[id(r)] for r in few), max(rail[id(r)] for r in few)
+    slack = 0.02 * (last - first)  # what `compensate` lets pass as well
+    assert by_name["rail"]["visits"] == sum(not first - slack < q < last + slack for q in rail.values())
+    assert by_name["rail"]["farthest"] == max(rail.values())
+    assert (by_name["Fz"]["unit"], by_name["rail"]["unit"]) == ("N", "m")
+    assert f"Fz at {by_name['Fz']['visits']} visits" in " ".join(ppshw(*judged).out.split())
 
 
 def test_without_a_calibration_evaluate_judges_the_ideal_machine(desk: Path) -> None:
@@ -232,6 +256,22 @@ def test_a_plan_is_listed_with_every_setpoint(desk: Path) -> None:
     assert found["steps"] == {"sweep": 5, "any": 3, "poses": 2}
     assert [v["setpoints"]["rail"] for v in found["plan"][:5]] == pytest.approx([-0.8, -0.4, 0, 0.4, 0.8])
     assert len(found["plan"]) == 10
+
+
+def test_plan_asks_whether_limits_of_many_turns_are_degrees(desk: Path) -> None:
+    """And goes on, since an axis on a slip ring does turn on."""
+    text = (desk / "machine.yaml").read_text(encoding="utf-8")
+    assert "lower: -1.5, upper: 1.5" in text
+    words = ["plan", desk / "little.yaml", "--machine", desk / "degrees.yaml", "--json"]
+    for turn, warnings in (
+        (9.4, []),
+        (90, ["joint 'turn': -90 … 90 rad is 28.6 turns; are these degrees?"]),
+    ):
+        wide = text.replace("lower: -1.5, upper: 1.5", f"lower: -{turn}, upper: {turn}")
+        (desk / "degrees.yaml").write_text(wide, encoding="utf-8")
+        said = ppshw(*words)
+        assert (said.code, json.loads(said.out)["warnings"]) == (0, warnings)
+        assert said.err == "".join(f"warning: {desk / 'degrees.yaml'}: {w}\n" for w in warnings)
 
 
 def test_answers_in_words_fit_a_terminal(desk: Path, tmp_path: Path) -> None:

@@ -44,6 +44,13 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_lines_of_nothing_but_spaces_are_no_visits(tmp_path: Path) -> None:
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", "", " \t", "0.3,0.4,4,5,6", "  ")
+    assert found.q.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    with pytest.raises(RecordingError, match=r"r\.csv:3: an empty row, commas only"):
+        read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", " ,,,", "0.3,0.4,4,5,6")
+
+
 def test_an_encoder_that_said_nothing_is_where_it_was_sent(tmp_path: Path) -> None:
     found = read(tmp_path, "q_cmd_rail,q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.1,0.1001,0.2,0,0,0", "0.3,,0.4,0,0,0")
     assert found.q.tolist() == [[0.1001, 0.2], [0.3, 0.4]]
@@ -123,6 +130,8 @@ def test_a_file_is_never_made_over_another(tmp_path: Path) -> None:
         RecordingFile.create(tmp_path / "nowhere" / "r.db", ["q"], {})
     with pytest.raises(RecordingError, match=r"wide\.db: cannot be made \(too many columns"):
         RecordingFile.create(tmp_path / "wide.db", [f"c{k}" for k in range(3000)], {})
+    with pytest.raises(RecordingError, match=r"twice\.db: column q_x is there twice, expected every name once"):
+        RecordingFile.create(tmp_path / "twice.db", ["q_x", "load", "q_x"], {})
 
 
 DIE = """\
