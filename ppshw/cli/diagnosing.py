@@ -42,6 +42,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis import diagnose as run
     from ppshw.diagnosis import serial
     from ppshw.diagnosis.checks import sentence
+    from ppshw.diagnosis.columns import doubts_of_gravity
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.wording import how_sure, unexplained
@@ -54,7 +55,7 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
-    warnings = doubts(recording)
+    warnings = doubts(recording) + doubts_of_gravity(machine, recording)
     if not np.isfinite(recording.time).all():
         warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
     warn(a.rec, warnings)

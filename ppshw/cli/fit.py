@@ -30,7 +30,7 @@ def identify(a: argparse.Namespace) -> None:
     import time
 
     from ppshw.calibration import Calibration
-    from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+    from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
     from ppshw.errors import IdentificationFailed
     from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
@@ -43,7 +43,7 @@ def identify(a: argparse.Namespace) -> None:
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    warnings = doubts(recording)
+    warnings = doubts(recording) + doubts_of_gravity(machine, recording)
     recording = without_copies(recording)
     if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
         warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
@@ -99,7 +99,7 @@ def identify(a: argparse.Namespace) -> None:
 
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
-    from ppshw.diagnosis.columns import plain_mistakes
+    from ppshw.diagnosis.columns import doubts_of_gravity, plain_mistakes
     from ppshw.evaluation import evaluate as run
     from ppshw.identification.plausible import doubts, refuse_another_machine, without_copies
     from ppshw.recording import listed, load_recording
@@ -110,7 +110,9 @@ def evaluate(a: argparse.Namespace) -> None:
     recording = without_copies(given)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
-    warn(a.rec, warnings := doubts(given) + as_they_stand(plain_mistakes(machine, recording)[1]))
+    warnings = doubts(given) + doubts_of_gravity(machine, given)
+    warnings += as_they_stand(plain_mistakes(machine, recording)[1])
+    warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])

@@ -33,8 +33,11 @@ BETTER = 0.2
 GROSS_M = 0.05
 GROSS_WRENCH = 0.3
 # A payload's centre of mass is not this far from the sensor: forces in kilonewtons beside N·m put it a thousand times
-# as far as it is.
+# as far as it is, and so do newtons beside moments in N·mm. Which, the forces say: half a tonne is 5 kN, a kilogram
+# 10 N; between nobody can tell.
 LEVER_M = 20.0
+MOST_KN, LEAST_N = 5.0, 10.0
+ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, whatever a sensor's zero adds [rad]
 # What a sensor may read with nothing on it, by its zero and its noise, says nothing of signs and units: ours, 2 kg and
 # those a quarter of a metre off.
 LOADED_N, LOADED_NM = 20.0, 5.0
@@ -121,7 +124,7 @@ def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, l
     """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
     forces have the opposite one. What leaves the recording none of this machine's is no correction."""
     given, found = recording, list[Mistake]()
-    for look in (_positions, _wrenches, _kilonewtons):
+    for look in (_positions, _wrenches, _wrench_units):
         for _ in range(3):
             tried = list(look(machine, recording))
             best = min(tried, key=lambda pair: pair[0].after + _askew(machine, pair[1]), default=None)
@@ -132,6 +135,24 @@ def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, l
         if look is _positions and found and is_another_machine(machine, recording):  # of some rows only, or of more
             recording, found = given, []
     return recording, found
+
+
+def doubts_of_gravity(machine: Machine, recording: Recording) -> list[str]:
+    """A line where what hangs there does not pull along the machine file's gravity, at the middle one of the visits
+    with a load; up or down is a matter of sign. Nobody can tell which of the two to set right."""
+    if not _has(recording, FORCES) or not _loaded(recording, FORCES, LOADED_N):
+        return []
+    g, force = _gravity(machine, recording), recording.wrench[:, :3]
+    size = np.linalg.norm(force, axis=1)
+    loaded = size > max(LOADED_N, 0.3 * size.max())
+    along = np.abs((force * g).sum(axis=1)[loaded]) / np.maximum(size * np.linalg.norm(g, axis=1), 1e-30)[loaded]
+    away = float(np.arccos(np.clip(np.median(along), 0.0, 1.0)))
+    if not g.any() or away < ASKEW:
+        return []
+    return [
+        f"forces of loaded visits point {np.degrees(away):.0f}° away from gravity: is gravity in {machine.file} wrong, "
+        "or are the axes of force_sensor?"
+    ]
 
 
 def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
@@ -213,17 +234,27 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
         yield Mistake(_named(columns), -1.0, what, before, after), changed
 
 
-def _kilonewtons(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
-    """Forces in kilonewtons, moments in newton metres; by how far off the payloads' centres of mass would be."""
+def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
+    """Forces in kilonewtons or moments in newton millimetres; by how far off the payloads' centres of mass would be.
+    That is said of the whole force: the part along gravity is small where the machine file has another gravity."""
     if not _has(recording, FORCES) or not _loaded(recording, MOMENTS, LOADED_NM):
         return
-    held = payloads(recording.wrench, recording.load, _gravity(machine, recording))
+    g = _gravity(machine, recording)
+    held = payloads(recording.wrench, recording.load, g)
     size = np.linalg.norm(recording.wrench[:, MOMENTS], axis=1)
     heavy = size > 0.1 * size.max()
-    lever = float(np.median(np.linalg.norm(held[heavy, 1:], axis=1) / np.maximum(np.abs(held[heavy, 0]), 1e-30)))
-    if lever > LEVER_M:
-        what = f"is in kilonewtons, expected newtons (loads would hang {lever:.0f} m off the sensor)"
+    force = np.linalg.norm(recording.wrench[heavy, :3], axis=1)
+    weights = np.linalg.norm(held[heavy, 1:], axis=1) * np.linalg.norm(g[heavy], axis=1)
+    lever, hangs = float(np.median(weights / np.maximum(force, 1e-30))), float(np.median(force))
+    if lever <= LEVER_M:
+        return
+    far = f"(loads would hang {lever:.0f} m off the sensor)"
+    if hangs < MOST_KN:
+        what = f"is in kilonewtons, expected newtons {far}"
         yield Mistake(_named(FORCES), 1e3, what, lever, 1e-3 * lever), _times(recording, FORCES, 1e3)
+    elif hangs > LEAST_N:
+        what = f"is in newton millimetres, expected newton metres {far}"
+        yield Mistake(_named(MOMENTS), 1e-3, what, lever, 1e-3 * lever), _times(recording, MOMENTS, 1e-3)
 
 
 def _left(machine: Machine, recording: Recording) -> Array:

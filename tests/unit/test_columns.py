@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
 from ppshw.errors import RecordingError
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
@@ -84,6 +84,34 @@ def test_forces_in_kilonewtons_beside_newton_metres(case: tuple[Machine, Recordi
     mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
     assert [(m.column, m.factor) for m in found] == [("Fx … Fz", 1e3)]
     assert np.allclose(mended.wrench, recording.wrench)
+
+
+def test_moments_in_newton_millimetres_beside_newtons(case: tuple[Machine, Recording]) -> None:
+    """The lever is the same as of kilonewtons; the weight that hangs there is not."""
+    machine, recording = case
+    wrench = recording.wrench * np.repeat([1.0, 1e3], 3)
+    mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
+    assert [(m.column, m.factor) for m in found] == [("Mx … Mz", 1e-3)]
+    assert "are in newton millimetres, expected newton metres" in found[0].said
+    assert np.allclose(mended.wrench, recording.wrench)
+
+
+def test_a_weight_that_may_be_either_is_left_alone(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    hangs = np.median(np.linalg.norm(recording.wrench[:, :3], axis=1)[np.abs(recording.wrench).max(axis=1) > 20])
+    wrench = recording.wrench * np.repeat([7.0 / hangs, 7.0], 3)
+    assert not [m for m in plain_mistakes(machine, replace(recording, wrench=wrench))[1] if m.factor in (1e3, 1e-3)]
+
+
+@pytest.mark.parametrize("off", [1.0, 0.0])
+def test_gravity_along_another_axis_is_no_unit_of_the_forces(case: tuple[Machine, Recording], off: float) -> None:
+    machine, recording = case
+    turned = replace(machine, gravity=np.roll(machine.gravity, 1))
+    askew = replace(recording, wrench=recording.wrench + off)
+    assert not [m for m in plain_mistakes(turned, askew)[1] if m.factor in (1e3, 1e-3)]
+    assert doubts_of_gravity(turned, askew)[0].startswith("forces of loaded visits point 90° away from gravity")
+    assert not doubts_of_gravity(machine, askew)
+    assert not doubts_of_gravity(machine, replace(recording, wrench=-askew.wrench))
 
 
 def test_without_a_fit_the_moments_sign_is_not_asked(case: tuple[Machine, Recording]) -> None:
