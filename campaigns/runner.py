@@ -29,7 +29,6 @@ from ppshw.errors import (
     BeamLost,
     CampaignError,
     CompensationRefused,
-    FollowingError,
     HardwareError,
     PpshwError,
     RecordingError,
@@ -134,7 +133,8 @@ class _Run:
                     note["site"] = self._bench.notes.get("site", "")
                     self._operator.tell("The site file is another than the recording was begun with; both are kept.")
                 self._log(file, "start", "resumed" if existing else "started", note)
-                self._say_what_moved(file)
+                if existing:
+                    self._say_what_moved(file)
                 return self._visits(file)
         except KeyboardInterrupt:
             self._bench.stop()
@@ -150,7 +150,8 @@ class _Run:
             columns = columns_for(self._plan.machine, places, self._plan.extra_targets, wanted)
             return RecordingFile.create(self._out, columns, {**meta, **_origin(self._plan), **self._bench.notes})
         file = RecordingFile.open(self._out)
-        now, (last, missing) = self._now(), _last_time_and_missing(file, places)
+        last_visit, now = _last_visit(file), self._now()
+        last, missing = last_visit["time"], ", ".join(p for p in places if f"temp_{p}_C" not in last_visit)
         if missing or now < last:
             file.close()
             why = f"its last visit is of {last}, now is {now}"
@@ -163,7 +164,8 @@ class _Run:
         """Since the last visit, for the operator to judge: a move that was broken off or somebody who moved the machine
         is no reason to refuse, but a drive that lost its zero says no more than this. Axes that were homed stand on
         their switch."""
-        before, now = _last_positions(file, self._joints), self._bench.axes.positions()
+        last, now = _last_visit(file), self._bench.axes.positions()
+        before = {j: float(q) for j in self._joints if (q := last.get(f"q_{j}"))}
         moved = {
             j: (before[j], now[j]) for j in before if j not in self._bench.homed and abs(now[j] - before[j]) > SLIP
         }
@@ -372,26 +374,20 @@ class _Run:
         end = clock.now() + seconds
         while (left := end - clock.now()) > 0:
             clock.sleep(min(left, LOOK_S))
-            self._require_held(at)
-
-    def _require_held(self, at: Mapping[str, float]) -> None:
-        """More is allowed than at a measurement: people load the machine."""
-        self._bench.axes.raise_if_faulty()
-        for joint, now in self._bench.axes.positions().items():
-            if abs(now - at[joint]) > SLIP:
-                raise FollowingError(joint, f"moved from {at[joint]:.6g} to {now:.6g} while it should stand")
+            self._bench.axes.require_at_rest(at, SLIP)
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
         """Looks at the axes while a person is asked, who may take an hour. By real time: machine time that is stepped
-        stands still meanwhile. What is found stops the axes at once, and is raised when the person has answered."""
+        stands still while nobody steps it. What is found stops the axes at once, and is raised when the person has
+        answered."""
         answered, found = threading.Event(), list[Exception]()
         at = self._bench.axes.positions()
 
         def watch() -> None:
             while not answered.wait(LOOK_S):
                 try:
-                    self._require_held(at)
+                    self._bench.axes.require_at_rest(at, SLIP)
                 except Exception as error:
                     self._bench.axes.quick_stop()
                     self._noticed = self._now()
@@ -500,13 +496,7 @@ def _skipped(file: RecordingFile) -> set[int]:
     return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
 
 
-def _last_positions(file: RecordingFile, joints: tuple[str, ...]) -> dict[str, float]:
+def _last_visit(file: RecordingFile) -> dict[str, str]:
+    """Column → cell; empty ones where nothing was measured yet."""
     header, rows = file.table()
-    last = dict(zip(header, rows[-1], strict=True)) if rows else {}
-    return {j: float(q) for j in joints if (q := last.get(f"q_{j}"))}
-
-
-def _last_time_and_missing(file: RecordingFile, places: list[str]) -> tuple[str, str]:
-    header, rows = file.table()
-    last = rows[-1][header.index("time")] if rows else ""
-    return last, ", ".join(p for p in places if f"temp_{p}_C" not in header)
+    return dict(zip(header, rows[-1], strict=True)) if rows else dict.fromkeys(header, "")

@@ -64,6 +64,7 @@ BUS_TIMES = {
 LONGEST_SILENCE_S, BEATS = 10.0, 2.0  # heartbeat_timeout: at most so long, at least so many periods
 WIDEST_WINDOW, WIDEST_FOLLOWING = 1e-3, 0.1  # m or rad; what is to be calibrated to tenths of a millimetre
 HOME_BEYOND = 0.1  # of the travel: so far beyond a limit a home switch may be
+PROCESS_DATA = (0x1400, 0x1600, 0x1800, 0x1A00)  # of the first RPDO and TPDO; the others are the site's
 SIMULATED = ("socket://127.0.0.1:", "socket://localhost:", "loopback:")
 
 
@@ -342,9 +343,6 @@ def _set_afterwards(s: Section, homing: HomingConfig | None, host: int | None) -
     return {(entry.index, entry.subindex): what for entry, what in by.items()}
 
 
-PROCESS_DATA = (0x1400, 0x1600, 0x1800, 0x1A00)  # of the first RPDO and TPDO; the others are the site's
-
-
 def _parameters(s: Section, set_afterwards: Mapping[tuple[int, int], str]) -> dict[tuple[int, int], int]:
     """`"0x6080:0": 3000`, as a concise configuration has them."""
     section = s.section("parameters", optional=True)
@@ -370,9 +368,9 @@ def _tracker(s: Section) -> Callable[[Clock, Ports], Tracker]:
     if "serial_number" in s:
         options["serial_number"] = s.integer("serial_number")
     options |= {k: s.text(k) for k in ("prism",) if k in s}
-    numbers = ("wavelength_um", "reference_index", "search_rad", "timeout_s")
-    options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
-    options |= {k: s.number(k, low=1e-9, high=0.5) for k in ("gate_m",) if k in s}
+    highest = {"gate_m": 0.5}
+    numbers = ("wavelength_um", "reference_index", "search_rad", "gate_m", "timeout_s")
+    options |= {k: s.number(k, low=1e-9, high=highest.get(k, np.inf)) for k in numbers if k in s}
     options |= {k: s.flag(k) for k in ("checksum",) if k in s}
     return lambda clock, ports: _site_error(s, GeoComTracker, ports.get(port, port), clock, **options)
 

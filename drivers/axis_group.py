@@ -253,14 +253,15 @@ class Cia402Group:
                 self._raise_trouble()  # the reason, where an emergency stopped all before the look
             raise
 
-    def require_at_rest(self, at: Mapping[str, float]) -> None:
+    def require_at_rest(self, at: Mapping[str, float], within: float | None = None) -> None:
         self.raise_if_faulty()
         for axis in self._axes.values():
             now, before, config = self._position(axis), at[axis.name], axis.config
-            if abs(now - before) > config.window + 0.5 / config.counts_per_unit:
+            window, rounding = (config.window, 0.5 / config.counts_per_unit) if within is None else (within, 0.0)
+            if abs(now - before) > window + rounding:
                 self.quick_stop()
                 moved = f"moved from {before:.6g} to {now:.6g} {config.unit} while it should stand"
-                raise FollowingError(axis.name, f"{moved} (window {config.window:g} {config.unit})")
+                raise FollowingError(axis.name, f"{moved} (window {window:g} {config.unit})")
 
     def _raise_trouble(self) -> None:
         self._bus.check()

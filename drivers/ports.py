@@ -122,8 +122,9 @@ class AxisGroup(Protocol):
         """Look at every started axis: raise the HardwareError of one that is silent, faulty or no longer enabled, after
         all were stopped."""
 
-    def require_at_rest(self, at: Mapping[str, float]) -> None:
-        """raise_if_faulty(), and raise for an axis that has left its window about where it was (`at`, m or rad)."""
+    def require_at_rest(self, at: Mapping[str, float], within: float | None = None) -> None:
+        """raise_if_faulty(), and raise for an axis that is farther than `within` (None: than its window) from where it
+        was (`at`)  [m or rad]."""
 
     def quick_stop(self) -> None:
         """Stop every axis now; never raises."""

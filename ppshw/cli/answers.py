@@ -37,6 +37,14 @@ def warn(source: str, warnings: Sequence[str]) -> None:
         print(f"warning: {source}: {warning}", file=sys.stderr)
 
 
+def doubts_about(machine: Any, recording: Any) -> list[str]:
+    """What is odd about a recording before anything is fitted to it, each in a line."""
+    from ppshw.diagnosis.columns import doubts_of_gravity
+    from ppshw.identification.plausible import doubts
+
+    return doubts(recording) + doubts_of_gravity(machine, recording)
+
+
 def as_they_stand(mistakes: Sequence[Any]) -> list[str]:
     """Warnings of columns that seem wrong, where a command goes on with them."""
     stands = {True: "they stand: set them", False: "it stands: set it"}

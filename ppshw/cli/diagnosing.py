@@ -15,6 +15,7 @@ from ppshw.cli.answers import (
     REPORT_S,
     TWINNED_PER_S,
     columns_named,
+    doubts_about,
     figure_row,
     new_file,
     new_files,
@@ -42,11 +43,9 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis import diagnose as run
     from ppshw.diagnosis import serial
     from ppshw.diagnosis.checks import sentence
-    from ppshw.diagnosis.columns import doubts_of_gravity
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.wording import how_sure, unexplained
-    from ppshw.identification.plausible import doubts
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -55,7 +54,7 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
-    warnings = doubts(recording) + doubts_of_gravity(machine, recording)
+    warnings = doubts_about(machine, recording)
     if not np.isfinite(recording.time).all():
         warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
     warn(a.rec, warnings)

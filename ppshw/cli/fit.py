@@ -13,6 +13,7 @@ from ppshw.cli.answers import (
     STEPWISE_PER_S,
     as_they_stand,
     columns_named,
+    doubts_about,
     figure_row,
     new_file,
     say,
@@ -30,20 +31,20 @@ def identify(a: argparse.Namespace) -> None:
     import time
 
     from ppshw.calibration import Calibration
-    from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
+    from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
     from ppshw.errors import IdentificationFailed
     from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
-    from ppshw.identification.plausible import doubts, without_copies
+    from ppshw.identification.plausible import without_copies
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    warnings = doubts(recording) + doubts_of_gravity(machine, recording)
+    warnings = doubts_about(machine, recording)
     recording = without_copies(recording)
     if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
         warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
@@ -99,9 +100,9 @@ def identify(a: argparse.Namespace) -> None:
 
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
-    from ppshw.diagnosis.columns import doubts_of_gravity, plain_mistakes
+    from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import evaluate as run
-    from ppshw.identification.plausible import doubts, refuse_another_machine, without_copies
+    from ppshw.identification.plausible import refuse_another_machine, without_copies
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
@@ -110,8 +111,7 @@ def evaluate(a: argparse.Namespace) -> None:
     recording = without_copies(given)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
-    warnings = doubts(given) + doubts_of_gravity(machine, given)
-    warnings += as_they_stand(plain_mistakes(machine, recording)[1])
+    warnings = doubts_about(machine, given) + as_they_stand(plain_mistakes(machine, recording)[1])
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}

@@ -233,6 +233,15 @@ def test_an_axis_that_was_pushed_off_its_place_does_not_rest(machine: Machine) -
     assert machine.drive("slide").power is not Power.OPERATION_ENABLED
 
 
+def test_an_axis_may_give_way_by_more_where_that_is_said(machine: Machine) -> None:
+    stood = machine.group.positions()
+    machine.drive("slew").lie_about(0x6064, -50)  # 1 mrad, twenty windows
+    machine.group.require_at_rest(stood, within=1.1e-3)
+    with pytest.raises(FollowingError, match=r"slew: moved from 0\.5 to 0\.499 rad .* \(window 0\.0009 rad\)"):
+        machine.group.require_at_rest(stood, within=0.9e-3)
+    assert machine.drive("slide").power is not Power.OPERATION_ENABLED
+
+
 def test_a_trip_stops_the_others_at_once_not_only_when_the_program_looks(machine: Machine) -> None:
     machine.drive("lift").trip(0x3220)
     deadline = time.monotonic() + 5.0  # the messages cross the bus in real time

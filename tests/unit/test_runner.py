@@ -99,7 +99,13 @@ class FakeAxes:
             self.noticed = self.clock.now()
             raise HeartbeatLost("lift", "no heartbeat")
 
-    def require_at_rest(self, at: Mapping[str, float]) -> None:
+    def require_at_rest(self, at: Mapping[str, float], within: float | None = None) -> None:
+        if within is not None:
+            self.raise_if_faulty()
+            for name, now in self.positions().items():
+                if abs(now - at[name]) > within:
+                    raise FollowingError(name, f"moved from {at[name]:.6g} to {now:.6g} m while it should stand")
+            return
         assert at == self.positions()
         if self.fell_over is not None and len(self.moves) == self.fell_over[0]:
             raise self.fell_over[1]
