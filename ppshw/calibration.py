@@ -6,7 +6,6 @@ another machine than the one it was made for.
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 import zlib
@@ -25,6 +24,7 @@ from ppshw.identification.noise import Noise
 from ppshw.identification.plausible import loads_not_measured
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.model import Model
+from ppshw.packed import packed, unpacked
 from ppshw.recording import Recording
 from ppshw.terms import FrameTerm, earlier
 from ppshw.terms.effect import Effect
@@ -264,6 +264,10 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     for effect in found.effects:
         numbers = np.concatenate([effect.values, effect.std, np.ravel(effect.correlation)])
         everything[f"effects.{effect.name}"] = numbers
+        if effect.mimicked.size and effect.mimicked.shape[1] != len(found.theta):
+            raise CalibrationError(f"{path}: damaged: 'mimicked' of {effect.name} is for {effect.mimicked.shape[1]} "
+                                   f"parameters, expected {len(found.theta)}")  # fmt: skip
+        everything[f"effects.{effect.name}.mimicked"] = effect.mimicked
     for name, values in everything.items():
         if not (np.abs(values) <= LARGEST).all():
             wanted = f"finite numbers below {LARGEST:g}"
@@ -340,17 +344,12 @@ def content_digest(content: dict[str, Any]) -> str:
 
 
 def _pack(covariance: Array) -> dict[str, Any]:
-    lower = covariance[np.tril_indices(len(covariance))].astype("<f8")
-    return {
-        "size": len(covariance),
-        "encoding": "lower triangle by rows, float64 little-endian, zlib, base64",
-        "data": base64.b64encode(zlib.compress(lower.tobytes(), 1)).decode(),
-    }
+    lower = packed(covariance[np.tril_indices(len(covariance))])
+    return {"size": len(covariance), "encoding": f"lower triangle by rows, {lower['encoding']}", "data": lower["data"]}
 
 
 def _unpack(data: dict[str, Any]) -> Array:
     size = int(data["size"])
-    lower = np.frombuffer(zlib.decompress(base64.b64decode(data["data"])), dtype="<f8")
     out = np.zeros((size, size))
-    out[np.tril_indices(size)] = lower
+    out[np.tril_indices(size)] = unpacked({"shape": [size * (size + 1) // 2], "data": data["data"]})
     return out + np.tril(out, -1).T

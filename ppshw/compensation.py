@@ -47,6 +47,18 @@ class Bounds:
 
 
 @dataclass(frozen=True)
+class _Effected:
+    """base, errors (1, n+1, 6) without and with the effects; wrenches (1, n+1, 6); chain (1, n+1, 4, 4);
+    positions (1, P, 3) of points."""
+
+    base: Array
+    wrenches: Array
+    errors: Array
+    chain: Array
+    positions: Array
+
+
+@dataclass(frozen=True)
 class Setpoints:
     """corrected and nominal (n,) [m, rad]; predicted_error (3,) of the point without correction, base axes [m];
     left (6,) of it after correction: the point's position, and the rotation vector of its frame [m, rad];
@@ -157,11 +169,9 @@ class Compensator:
         if not self.position_first and np.abs(left).max() > 1e-5:
             raise CompensationRefused(f"the corrected pose cannot be reached: {amount(left[0])} are left")
         self._refuse_correction(q[0], nominal)
-        uncorrected, _ = self._point(replace(now, q=nominal), past, where)
+        uncorrected = self._effected(replace(now, q=nominal), past, where).positions[0, 0]
         ideal = point_positions(self.machine, start, where)
-        design = self.calibration.model.linearise(Situation(q, payload[None]), self.calibration.theta, where).design
-        variance = np.einsum("ip,pq,iq->i", design[0, 0], self.calibration.covariance, design[0, 0])
-        variance += self._point(replace(now, q=q[0]), past, where)[1]
+        variance = self._variance(replace(now, q=q[0]), past, where)
         verdicts = () if self.known is None else tuple(self.known.verdicts(now, past))
         error = uncorrected - ideal[0, 0]
         with_it, without = float(np.linalg.norm(left[0, :3])), float(np.linalg.norm(error))
@@ -201,21 +211,35 @@ class Compensator:
             return None
         return lambda q, errors, wrenches: known.errors(replace(now, q=q[0]), past, errors, wrenches)
 
-    def _point(self, now: Moment, past: Past, where: Array) -> tuple[Array, Array]:
-        """(3,) where a point of the end effector really is [m], and the variance (3,) that effects bring to it [m²]."""
+    def _effected(self, now: Moment, past: Past, where: Array) -> _Effected:
+        """Where points of the end effector (1, 3) really are with all that is known, and how they move."""
         q, model = now.q[None], self.calibration.model
         base, wrenches = model.errors(Situation(q, now.payload[None]), self.calibration.theta)
         errors = base if self.known is None else base + self.known.errors(now, past, base, wrenches)
         chain = frames(self.machine, q, errors)
         tip = chain[:, -1] @ self.machine.tip_in_link
         positions = np.einsum("nij,pj->npi", tip[:, :3, :3], where) + tip[:, None, :3, 3]
-        if self.known is None:
-            return np.asarray(positions[0, 0]), np.zeros(3)
-        jacobian = point_jacobian(chain, positions, errors)[0, 0]
-        asked = now, past, base, wrenches
-        spread = np.concatenate([self.known.unsure(*asked), self.known.unknown(*asked)])
-        moved = np.einsum("ifc,kfc->ki", jacobian, spread)
-        return np.asarray(positions[0, 0]), np.asarray((moved**2).sum(axis=0))
+        return _Effected(base, wrenches, errors, chain, positions)
+
+    def _variance(self, now: Moment, past: Past, where: Array) -> Array:
+        """(3,) of the point's position [m²]: how unsure the base model and the effects are together, and what effects
+        may do by what is not known.
+
+        Were an effect larger, the base model would be fitted with the less: of what it has for the effect's part only
+        what is beyond that counts. docs/derivations.md (6.2).
+        """
+        situation = Situation(now.q[None], now.payload[None])
+        design = self.calibration.model.linearise(situation, self.calibration.theta, where).design[0, 0]
+        variance = np.einsum("ip,pq,iq->i", design, self.calibration.covariance, design)
+        if self.known is not None:
+            here = self._effected(now, past, where)
+            jacobian = point_jacobian(here.chain, here.positions, here.errors)[0, 0]
+            asked = now, past, here.base, here.wrenches
+            effects, instead = self.known.unsure(*asked)
+            moved = np.einsum("ifc,kfc->ki", jacobian, effects) - instead @ design.T
+            unknown = np.einsum("ifc,kfc->ki", jacobian, self.known.unknown(*asked))
+            variance += (moved**2).sum(axis=0) + (unknown**2).sum(axis=0)
+        return np.asarray(variance)
 
     def _refuse_outside(self, q: Array, payload: Array) -> None:
         margin = self.bounds.range_margin

@@ -57,7 +57,9 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
         correlation = np.round(covariance / np.maximum(np.outer(std, std), 1e-300), DIGITS).tolist()
         # a Gaussian process keeps what is unsure of it with its own columns
         rows = () if corrects or len(std) == 1 else tuple(tuple(row) for row in correlation)
-        effects.append(Effect(name, candidate.joint, columns, tuple(values.tolist()), tuple(std.tolist()), said, rows))
+        of_each = np.zeros((0, 0)) if corrects else _of_each(space, f.columns(candidate))
+        values_and_std = tuple(values.tolist()), tuple(std.tolist())
+        effects.append(Effect(name, candidate.joint, columns, *values_and_std, said, rows, of_each))
     if corrections:
         effects = _joined(effects, _instead(whole, alone, [p for p in found if p[0].carried], corrections))
     recording = space.recording.subset(space.fit)
@@ -98,6 +100,14 @@ def _theta(space: Workspace, gone: Sequence[Pair] = ()) -> Array:
         base = base + space.mimicked(space.taken[:, :, mine] @ values[mine])
     theta[space.active] = base
     return theta
+
+
+def _of_each(space: Workspace, columns: slice) -> Array:
+    """(k, p) what the base model would take of each of these columns."""
+    out = np.zeros((columns.stop - columns.start, len(space.active)))
+    for row, k in zip(out, range(columns.start, columns.stop), strict=True):
+        row[space.active] = space.mimicked(space.taken[:, :, k])
+    return out
 
 
 def _instead(

@@ -141,22 +141,26 @@ class KnownEffects:
                 self._add(out, effect, column, value, context)
         return out
 
-    def unsure(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
-        """What the effects may do besides as their values are not known better: (k, n+1, 6) [m, rad], the sum of whose
-        squares is the variance that this brings to any displacement. Of a Gaussian process nothing is used: the whole
-        of it stays unsure, per component."""
+    def unsure(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
+        """What the effects may do besides as their values are not known better: (k, n+1, 6) [m, rad], and what the base
+        model's parameters would have less in each case (k, p). The sum of the squares of a displacement by both is the
+        variance that this brings to it. Of a Gaussian process nothing is used: the whole of it stays unsure, per
+        component."""
         context = self._context(now, past, base, wrenches)
-        out = []
+        out, instead = [np.zeros((0, *base.shape[1:]))], [np.zeros((0, len(self._theta)))]
         for effect in self.effects:
             first = effect.columns[0]
             if first.function == "unexplained":
-                out += [self._on_frame(first, size)[None] for size in np.diag(first.args["amplitude"])]
+                ways = np.array([self._on_frame(first, size) for size in np.diag(first.args["amplitude"])])
+                out.append(ways)
+                instead.append(np.zeros((len(ways), len(self._theta))))
                 continue
             units = np.zeros((len(effect.columns), *base.shape[1:]))
             for k, column in enumerate(effect.columns):
                 self._add(units[k : k + 1], effect, column, 1.0, context)
             out.append(np.tensordot(effect.spread, units, axes=1))
-        return np.concatenate(out) if out else np.zeros((0, *base.shape[1:]))
+            instead.append(effect.spread @ effect.mimicked_by(len(self._theta)))
+        return np.concatenate(out), np.concatenate(instead)
 
     def unknown(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:
         """What else the effects may do by what is not known at `now`: (k, n+1, 6) [m, rad], the sum of whose squares is

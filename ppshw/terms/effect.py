@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.model import Model
+from ppshw.packed import packed, unpacked
 from ppshw.recording import Recording
 from ppshw.terms.shapes import Column, Context
 
@@ -21,7 +22,9 @@ UNNAMED = "unexplained"  # what a correction without a name is called
 @dataclass(frozen=True)
 class Effect:
     """name: the contract's; joint: where, None for none; columns with values and standard deviations (k,);
-    sentence: what it is in plain words; correlation: (k, k) of the values' errors, empty where they have none."""
+    sentence: what it is in plain words; correlation: (k, k) of the values' errors, empty where they have none;
+    mimicked: (k, p) parameters by which the base model would take what it can of each column, of size one; empty where
+    that is not known, as of an effect written by hand."""
 
     name: str
     joint: str | None
@@ -30,6 +33,7 @@ class Effect:
     std: tuple[float, ...]
     sentence: str
     correlation: tuple[tuple[float, ...], ...] = ()
+    mimicked: Array = field(default_factory=lambda: np.zeros((0, 0)), compare=False, repr=False)
 
     @cached_property  # asked for at every setpoint
     def spread(self) -> Array:
@@ -39,6 +43,10 @@ class Effect:
             return np.diag(std)
         size, ways = np.linalg.eigh(np.array(self.correlation))
         return np.asarray((ways * np.sqrt(np.maximum(size, 0.0))).T * std)
+
+    def mimicked_by(self, count: int) -> Array:
+        """(k, count) `mimicked`, by nothing where that is not known."""
+        return self.mimicked if self.mimicked.size else np.zeros((len(self.columns), count))
 
     @property
     def places(self) -> list[str]:
@@ -50,6 +58,7 @@ class Effect:
             "effect": self.name, "joint": self.joint, "sentence": self.sentence,
             "columns": [c.as_dict() for c in self.columns], "values": list(self.values), "std": list(self.std),
             "correlation": [list(row) for row in self.correlation],
+            "mimicked": packed(self.mimicked),
         }  # fmt: skip
 
     @classmethod
@@ -61,7 +70,10 @@ class Effect:
         correlation = tuple(tuple(float(x) for x in row) for row in data.get("correlation", ()))
         if correlation and np.shape(correlation) != (len(std), len(std)):
             raise ValueError(f"correlation of {data['effect']} is not of {len(std)} by {len(std)}")
-        return cls(data["effect"], data["joint"], columns, values, std, data["sentence"], correlation)
+        mimicked = unpacked(data["mimicked"]) if "mimicked" in data else np.zeros((0, 0))
+        if mimicked.size and len(mimicked) != len(columns):
+            raise ValueError(f"mimicked of {data['effect']} is not of {len(columns)} rows")
+        return cls(data["effect"], data["joint"], columns, values, std, data["sentence"], correlation, mimicked)
 
 
 def displacement(

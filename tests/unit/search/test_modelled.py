@@ -1,0 +1,59 @@
+"""What a calibration with an effect predicts, and how sure it is of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ppshw.calibration import load_calibration
+from ppshw.compensation import Bounds, Compensator
+from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.modelled import extended
+from ppshw.diagnosis.workspace import Workspace
+from tests.unit.search.by_hand import named, of_size
+
+
+def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
+    space: Workspace, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """What a clearance and a compliance may take from each other moves no prediction. Counted as if they were
+    independent it made what was said several times too large."""
+    alike = space.as_learnt()
+    name = space.machine.joint_names[1]
+    candidates = [k for k in named(space, "clearance") if k.joint == name and len(k.columns) == 1]
+    fields = [k.columns[0].evaluate(space.context) for k in candidates]
+    whites = [alike.whiten(field[..., None]) for field in fields]
+    shares = [float((white.T @ alike.absorb(white)).item() / (white.T @ white).item()) for white in whites]
+    best = int(np.argmin(shares))
+    assert shares[best] < 0.15  # most of it a compliance may stand for
+    candidate, moved = candidates[best], fields[best]
+    column = of_size(alike, moved, 1.0)
+    unit = float(np.linalg.norm(column) / np.linalg.norm(moved))
+    model = replace(alike, data=alike.data + 2 * column)
+    model.take_up(moved[..., None], np.array([unit]))
+    made = extended(model, [(Found(0, ("clearance", name), 1e-9, 50.0, size=5e-5), candidate)])
+    path = tmp_path_factory.mktemp("calibration") / "with_clearance.json"
+    made.save(path)
+    made = load_calibration(path, space.machine)
+    with_it, without = (Compensator(c, Bounds()) for c in (made, replace(made, effects=())))
+
+    assert space.base.model.target_offset is None  # of no other point than the reflectors
+    both = np.concatenate([alike.design, moved[..., None]], axis=2)
+    prior, white = np.r_[alike.prior, unit], alike.whiten(both)
+    posterior, alone = (
+        np.linalg.inv(white[:, :size].T @ white[:, :size] + np.diag(1.0 / prior[:size] ** 2))
+        for size in (len(prior), len(prior) - 1)
+    )
+    grown = []
+    for visit in range(0, len(space.recording), 12):
+        asked = space.recording.q[visit], space.recording.wrench[visit], next(iter(space.machine.targets))
+        said = [np.square(compensator.for_joints(*asked).std).sum() for compensator in (with_it, without)]
+        expected = [
+            np.einsum("ip,pq,iq->", rows, covariance, rows)
+            for rows, covariance in ((both[visit, :3], posterior), (alike.design[visit, :3], alone))
+        ]
+        grown.append((said[0] / said[1], expected[0] / expected[1]))
+    by_said, by_both = np.array(grown).T
+    np.testing.assert_allclose(by_said, by_both, rtol=0.03)
