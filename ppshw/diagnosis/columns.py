@@ -232,6 +232,12 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
         after = _unlike_a_payload(recording, changed.wrench, g)
         what = SIGN[-1.0] + (TOO if columns == FORCES and _loaded(recording, MOMENTS, LOADED_NM) else "")
         yield Mistake(_named(columns), -1.0, what, before, after), changed
+    for a, b in (pair for three in (FORCES, MOMENTS) for pair in itertools.combinations(three, 2)):
+        wrench = recording.wrench.copy()
+        wrench[:, [a, b]] = wrench[:, [b, a]]
+        after = _unlike_a_payload(recording, wrench, g)
+        column = f"{WRENCH_COMPONENTS[a]} and {WRENCH_COMPONENTS[b]}"
+        yield Mistake(column, None, "is exchanged", before, after), replace(recording, wrench=wrench)
 
 
 def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:

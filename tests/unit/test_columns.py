@@ -9,7 +9,7 @@ import pytest
 
 from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
 from ppshw.errors import RecordingError
-from ppshw.machine import Machine, load_machine
+from ppshw.machine import WRENCH_COMPONENTS, Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
 
@@ -163,6 +163,17 @@ def test_reflectors_or_coordinates_that_are_exchanged_throughout(
     said = found[0].finding()
     assert said["parameters"] == {}
     assert said["sentence"] == f"the columns {found[0].column} are exchanged; they were taken the other way round."
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 1), (3, 4), (4, 5)])
+def test_channels_of_the_force_sensor_that_are_exchanged(case: tuple[Machine, Recording], a: int, b: int) -> None:
+    """Two forces or two moments, where what hangs there says which is which."""
+    machine, recording = case
+    wrench = recording.wrench.copy()
+    wrench[:, [a, b]] = recording.wrench[:, [b, a]]
+    mended, found = plain_mistakes(machine, replace(recording, wrench=wrench))
+    assert [(m.column, m.factor) for m in found] == [(f"{WRENCH_COMPONENTS[a]} and {WRENCH_COMPONENTS[b]}", None)]
+    assert np.array_equal(mended.wrench, recording.wrench)
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.5])
