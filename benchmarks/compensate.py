@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from benchmarks.figures import ROOT, flow, number, remarks, seconds, table, write
 from ppshw.calibration import Calibration
 from ppshw.compensation import Compensator
-from ppshw.fast_setpoints import FastCompensator
+from ppshw.compensation.fast_setpoints import FastCompensator
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording

@@ -23,7 +23,7 @@ from campaigns.runner import SetpointMap, run_campaign
 from campaigns.script import load_script
 from campaigns.site import load_site, open_bench
 from ppshw.calibration import Calibration
-from ppshw.compensation import Compensator
+from ppshw.compensation import Compensator, Corrections
 from ppshw.errors import BadInput
 from ppshw.evaluation import figures
 from ppshw.identification import identify
@@ -90,7 +90,7 @@ def run_demo(
             identify_s = time.perf_counter() - identified
             calibration = Calibration.of(estimate, recording, method)
             calibration.save(out / "calibration.json")
-            corrected, label = Compensator(calibration).setpoint_map(), file_hash(out / "calibration.json")
+            corrected, label = Corrections(Compensator(calibration)), file_hash(out / "calibration.json")
             after = point_errors(measure("verification_compensated", corrected, label), machine, POINT)
         answer = {
             "uncompensated": figures(before),

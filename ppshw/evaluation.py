@@ -15,8 +15,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.at_hand import is_beyond
-from ppshw.terms.effect import UNNAMED, displacement
+from ppshw.terms.effect import UNNAMED, displacement, is_beyond
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid

@@ -58,14 +58,14 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     from campaigns.corrected import corrected_plan
     from campaigns.site import check_moves
     from ppshw.calibration import load_calibration
-    from ppshw.compensation import Compensator
+    from ppshw.compensation import Compensator, Corrections
 
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
     warn(a.calibration, warnings := calibration.doubts())
     with Bar() as bar:
         foreseen = corrected_plan(plan, compensator, final_approach(site), lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
-    return compensator.setpoint_map(final_approach=final_approach(site)), file_hash(a.calibration), warnings
+    return Corrections(compensator, final_approach=final_approach(site)), file_hash(a.calibration), warnings
 
 
 def check(a: argparse.Namespace) -> None:

@@ -6,9 +6,7 @@ predicted as if both were one; one that begins long after begins anew, since nob
 
 from __future__ import annotations
 
-import base64
 import math
-import zlib
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.packed import packed, unpacked
 from ppshw.recording import Recording
 
 Array = NDArray[np.float64]
@@ -110,20 +109,19 @@ def as_dict(earlier: Recording) -> dict[str, Any]:
     columns |= {name: earlier.wrench[:, k] for k, name in enumerate(WRENCH_COMPONENTS)}
     columns |= {f"temp_{place}_C": values for place, values in earlier.temperatures.items()}
     columns |= {f"cov_{name}": values for name, values in earlier.covariates.items()}
-    table = np.array(list(columns.values()), dtype="<f8")
+    table = packed(np.array(list(columns.values())))
     return {
         "count": len(earlier), "load": list(earlier.load), "columns": list(columns),
         "has_wrench": earlier.has_wrench,
-        "encoding": "column after column, float64 little-endian, zlib, base64",
-        "data": base64.b64encode(zlib.compress(table.tobytes())).decode(),
+        "encoding": f"column after column, {table['encoding']}", "data": table["data"],
     }  # fmt: skip
 
 
 def from_dict(data: dict[str, Any], machine: Machine, source: str, sha256: str) -> Recording:
     """What `as_dict` wrote. Raises KeyError, TypeError, ValueError or zlib.error where it is damaged."""
     count, names = int(data["count"]), [str(name) for name in data["columns"]]
-    values = np.frombuffer(zlib.decompress(base64.b64decode(data["data"])), dtype="<f8").reshape(len(names), count)
-    columns = dict(zip(names, values.astype(float), strict=True))
+    values = unpacked({"shape": [len(names), count], "data": data["data"]})
+    columns = dict(zip(names, values, strict=True))
     if len(data["load"]) != count:
         raise ValueError(f"visits: {len(data['load'])} loads for {count} visits")
     joints = machine.joint_names

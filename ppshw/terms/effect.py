@@ -17,6 +17,7 @@ from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
 UNNAMED = "unexplained"  # what a correction without a name is called
+BEYOND_C = 0.1  # what thermometers of a hall read one another apart
 
 
 @dataclass(frozen=True)
@@ -107,3 +108,8 @@ def instrument_error(
             if column.on == "points" and not moves_one:
                 out += value * column.evaluate(context).reshape(out.shape)
     return np.asarray(out[:, 0])
+
+
+def is_beyond(here: Array, low: float, high: float) -> NDArray[np.bool_]:
+    """Whether thermometers stand where they never stood while an effect was measured, low to high [°C]."""
+    return np.asarray((here < low - BEYOND_C) | (here > high + BEYOND_C))

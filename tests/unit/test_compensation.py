@@ -12,7 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
-from ppshw.compensation import Bounds, Compensator, nominal_joints, payload_at, solve_pose
+from ppshw.compensation import Bounds, Compensator
+from ppshw.compensation.corrections import payload_at
+from ppshw.compensation.inverse import nominal_joints, solve_pose
 from ppshw.errors import CompensationRefused
 from ppshw.identification import identify
 from ppshw.machine import load_machine

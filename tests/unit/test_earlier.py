@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration, content_digest, load_calibration
 from ppshw.cli import main
-from ppshw.compensation import Compensator
+from ppshw.compensation import Compensator, Corrections
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
 from ppshw.identification import identify
@@ -205,7 +205,7 @@ def test_setpoints_soon_after_know_what_the_machine_did() -> None:
     wanted = q + np.array([0, 0.05, 0, 0, 0, 0])
 
     def corrected(kept: Recording | None, after: Recording | None, pause: float) -> Array:
-        move = Compensator(remembering(kept)).setpoint_map(after=after)
+        move = Corrections(Compensator(remembering(kept)), after=after)
         return move(wanted, payload, q, Around(end + pause, visits.load[-1], {"rail": 24.0}))
 
     told, known, nothing = corrected(None, visits, 60.0), corrected(visits, None, 60.0), corrected(None, None, 60.0)

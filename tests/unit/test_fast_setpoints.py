@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
+from ppshw.compensation.fast_setpoints import FastCompensator
 from ppshw.errors import CalibrationError, CompensationRefused
-from ppshw.fast_setpoints import FastCompensator
 from ppshw.identification.noise import Noise
 from ppshw.machine import Machine, load_machine
 from ppshw.model import Model

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ppshw.calibration import Calibration
-from ppshw.compensation import Bounds, Compensator, nominal_joints
+from ppshw.compensation import Bounds, Compensator, Corrections
+from ppshw.compensation.fast_setpoints import FastCompensator
+from ppshw.compensation.inverse import nominal_joints
 from ppshw.errors import CalibrationError, CompensationRefused
-from ppshw.fast_setpoints import FastCompensator
 from ppshw.identification import identify
 from ppshw.identification.noise import Noise
 from ppshw.machine import Machine, load_machine
@@ -173,7 +174,7 @@ def test_compiled_setpoints_are_for_whole_poses(tmp_path: Path) -> None:
 
 # --- a run -----------------------------------------------------------------------------------------------------------
 def test_a_run_says_the_most_that_stays(tmp_path: Path) -> None:
-    correct = with_errors(machine(tmp_path, "one", GANTRY[2:]), {1: [3e-3, -4e-3, 2e-3, 0, 4e-4, 0]}).setpoint_map()
+    correct = Corrections(with_errors(machine(tmp_path, "one", GANTRY[2:]), {1: [3e-3, -4e-3, 2e-3, 0, 4e-4, 0]}))
     for q in (0.1, 0.2):
         correct(np.array([q]), NOTHING, np.array([0.0]), Around())
     assert correct.left == pytest.approx((np.hypot(3.04e-3, 4e-3), 4e-4), abs=1e-6)

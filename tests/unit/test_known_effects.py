@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.cli import main
-from ppshw.compensation import Circumstances, Compensator, Setpoints
+from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
 from ppshw.evaluation import evaluate
 from ppshw.identification import identify
 from ppshw.machine import load_machine
@@ -110,7 +110,7 @@ def test_where_the_direction_is_unknown_the_middle_is_taken_and_said() -> None:
 
 def test_a_campaign_knows_where_every_move_starts() -> None:
     """Up, up, down, and once more without moving: the joint keeps the side that it came from."""
-    move = lost_motion().setpoint_map()
+    move = Corrections(lost_motion())
     around = Around(1.7e9, "box")
     poses = [BELOW, POSE, ABOVE, POSE]
     here = BELOW - UP
@@ -128,7 +128,7 @@ def test_a_campaign_knows_where_every_move_starts() -> None:
 def test_a_campaign_says_how_often_it_took_an_effect_out_and_why_not() -> None:
     column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
     compensator = knowing("thermal_growth", "vertical", column, 8e-5)
-    move = Compensator(replace(compensator.calibration, temperature_range={"rail": (19.0, 25.0)})).setpoint_map()
+    move = Corrections(Compensator(replace(compensator.calibration, temperature_range={"rail": (19.0, 25.0)})))
     for rail in ({"rail": 20.0}, {}, {"rail": 30.0}, {"rail": 31.0}, {"rail": 22.0}):
         move(POSE, payload(), POSE, Around(1.7e9, "box", rail))
     unknown = "the temperature of rail is not known; taken as its mean while measured"
@@ -136,7 +136,7 @@ def test_a_campaign_says_how_often_it_took_an_effect_out_and_why_not() -> None:
 
 
 def test_an_axis_that_always_ends_its_moves_upwards_has_one_direction() -> None:
-    move = lost_motion().setpoint_map(final_approach=np.array([0, 1, 0, 0, 0, 0]))
+    move = Corrections(lost_motion(), final_approach=np.array([0, 1, 0, 0, 0, 0]))
     around = Around(1.7e9, "box")
     from_above = move(POSE, payload(), ABOVE, around)
     assert np.linalg.norm(miss(from_above, -GAP / 2)) < 5e-5
@@ -184,7 +184,7 @@ def test_evaluate_counts_visits_at_temperatures_that_no_effect_was_measured_at(t
 def test_growth_that_lags_follows_what_the_thermometers_said_before() -> None:
     """After a jump of 2 K a lag of an hour has taken in 1 − 1/e of it an hour later (readings every two minutes)."""
     column = Column("frame", "temperature", {"place": "rail", "tau": 1.0}, VERTICAL + 1, TY)
-    move = knowing("thermal_growth", "vertical", column, 1e-4).setpoint_map()
+    move = Corrections(knowing("thermal_growth", "vertical", column, 1e-4))
     here, said = BELOW, []
     for k in range(32):
         rail = 22.0 if k == 0 else 24.0
@@ -221,7 +221,7 @@ def test_creep_that_a_run_brings_along_is_that_of_the_age_of_its_load() -> None:
     """The whole late share counts, not its change since the run began: the base model holds what was long there."""
     args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "log"}
     compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
-    move = compensator.setpoint_map()
+    move = Corrections(compensator)
     here = move(BELOW, payload(), BELOW, Around(1.7e9, "box"))
     there = move(POSE, payload(), here, Around(1.7e9 + 5400.0, "box"))
     # put on half an hour before the run, as nobody says otherwise, and an hour and a half into it: two hours

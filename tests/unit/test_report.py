@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ppshw.calibration import Calibration, content_digest
-from ppshw.compensation import solve_pose
+from ppshw.compensation.inverse import solve_pose
 from ppshw.errors import BadInput, RecordingError, ReportError
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model

@@ -10,6 +10,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from ppshw.compensation.known_effects import KnownEffects
+from ppshw.compensation.past import Moment, Past
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import by_its_own_form
@@ -24,9 +26,7 @@ from ppshw.machine import load_machine
 from ppshw.recording import load_recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
-from ppshw.terms.at_hand import KnownEffects
 from ppshw.terms.effect import Effect
-from ppshw.terms.past import Moment, Past
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.covariates import covariate
 from simulators.concealed.case import make_case

@@ -4,33 +4,28 @@ The real machine, as calibrated, is asked where it would go; Newton's method mov
 should. Joints that move the end effector in fewer than six ways cannot put a whole pose right: there the position of
 the point that was asked for goes first, and what stays is said. What cannot be honoured is refused with a reason:
 nothing is clipped. Of the effects that a diagnosis found those that can be known when a setpoint is computed are taken
-out (terms/at_hand.py), the others named, with the reason.
+out (known_effects.py), the others named, with the reason.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
+from ppshw.compensation.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
+from ppshw.compensation.known_effects import KnownEffects, Verdict
+from ppshw.compensation.past import Moment, Past, Signs, approach_of
 from ppshw.errors import CompensationRefused
-from ppshw.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
 from ppshw.kinematics import frames, freedoms, point_jacobian, point_positions, tip_poses
-from ppshw.machine import Machine
 from ppshw.quantities import distance
-from ppshw.recording import Around, Recording
+from ppshw.recording import Around
 from ppshw.terms import Situation
-from ppshw.terms.at_hand import KnownEffects, Verdict
-from ppshw.terms.earlier import goes_on
-from ppshw.terms.past import Moment, Past, Signs, approach_of
 from ppshw.transforms import inverse, transform
 
 Array = NDArray[np.float64]
-# An axis that stands this near to where it was sent last leaves from there, whatever its encoder rounds [m, rad].
-AT_REST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -142,19 +137,6 @@ class Compensator:
         """
         wanted = np.asarray(wanted, dtype=float)
         return self._correct(tip_poses(self.machine, wanted)[0], wanted, payload, point, given or Circumstances())
-
-    def setpoint_map(
-        self, after: Recording | None = None, final_approach: Signs | None = None
-    ) -> Corrections:
-        """For a campaign: (wanted (n,), wrench (6,) as read at (n,), what is around) → corrected (n,).
-
-        Keeps the moves that it was asked for as the past of the next one; a map is good for one run.
-
-        after           what the machine did last, for effects that look back; without, the visits that the calibration
-                        was made from if the run begins soon after them (`earlier.goes_on`), else nothing
-        final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
-        """
-        return Corrections(self, after, final_approach)
 
     def _correct(
         self, wanted_tip: Array, nominal: Array, payload: Array, point: str, given: Circumstances
@@ -277,74 +259,3 @@ def _approach(end: Array, given: Circumstances) -> Signs:
     before = np.zeros(len(end), dtype=np.int64) if given.before is None else given.before
     found = before if given.start is None else approach_of(given.start, end, before)
     return found if given.approach is None else np.where(given.approach != 0, given.approach, found)
-
-
-class Corrections:
-    """Corrected setpoints of one run, each with the moves before it as its past.
-
-    left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
-    position_first  as the compensator's
-    """
-
-    def __init__(self, compensator: Compensator, after: Recording | None, final_approach: Signs | None) -> None:
-        self._compensator, self._final = compensator, final_approach
-        self._past = Past()
-        self._visits = compensator.calibration.visits if after is None else None
-        if after is not None and compensator.known is not None:
-            self._past = compensator.known.past_of(after)
-        self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
-        self.position_first, self.left = compensator.position_first, np.zeros(2)
-
-    @property
-    def said(self) -> list[tuple[Verdict, int]]:
-        """What became of every effect, each reason for itself, and at how many of the setpoints until now."""
-        return list(self._said.values())
-
-    def as_dicts(self, taken_out: bool) -> list[dict[str, Any]]:
-        """The same for an answer: of those that were taken out, or of those that were not."""
-        return [{**v.as_dict(), "visits": n} for v, n in self.said if v.taken_out == taken_out]
-
-    def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
-        payload = payload_at(self._compensator.machine, wrench, here, wanted)
-        known = self._compensator.known
-        if known is None:
-            return self._corrected(wanted, payload, Circumstances()).corrected
-        if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
-            self._past = known.past_of(self._visits)
-        last = self._past.moments[-1] if self._past.moments else None
-        if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
-            approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
-            last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
-            self._past = known.remember(self._past, last)
-        given = Circumstances(last.q, self._final, last.approach, around, None, self._past)
-        found = self._corrected(wanted, payload, given)
-        now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
-        self._past = known.remember(self._past, now)
-        for verdict in found.effects:
-            key = verdict.effect.name, verdict.effect.joint, verdict.why
-            self._said[key] = verdict, self._said.get(key, (verdict, 0))[1] + 1
-        return found.corrected
-
-    def _corrected(self, wanted: Array, payload: Array, given: Circumstances) -> Setpoints:
-        found = self._compensator.for_joints(wanted, payload, given=given)
-        self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
-        return found
-
-
-def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
-    """What the sensor will read at another pose, when the payload only weighs.
-
-    The weight keeps its direction in space and its line of action in the payload; where on that line the centre of mass
-    lies one reading cannot tell, so the point nearest to the sensor is taken. Exact where the sensor only turns about
-    the vertical; for tilts of δ it is off by weight × height × δ.
-
-    payload  (6,) read at joint values `here` (n,);  returns (6,) at `there` (n,)   [N, N·m]
-    """
-    turn = [(tip_poses(machine, q)[0, :3, :3] @ machine.tip_in_link[:3, :3].T @ machine.sensor_in_link[:3, :3])
-            for q in (here, there)]  # fmt: skip
-    force, moment = payload[:3], payload[3:]
-    size = float(force @ force)
-    lever = np.cross(force, moment) / size if size > 0 else np.zeros(3)
-    turned = turn[1].T @ turn[0] @ force
-    along = moment - np.cross(lever, force)  # a pure moment, if there is one, stays with the payload
-    return np.concatenate([turned, np.cross(lever, turned) + along])

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
+from ppshw.compensation.inverse import amount
 from ppshw.errors import CalibrationError, CompensationRefused, PpshwError
-from ppshw.inverse import amount
 from ppshw.kinematics import freedoms
 from ppshw.machine import Machine
 from ppshw.model import Model
@@ -25,7 +25,7 @@ from ppshw.terms.basis import Interpolated, Polynomial, Smooth
 from ppshw.terms.own_motion import OwnMotion
 
 if TYPE_CHECKING:
-    from ppshw.fast_kernel import Allowed, Chain, Functions
+    from ppshw.compensation.fast_kernel import Allowed, Chain, Functions
 
 Array = NDArray[np.float64]
 # A table may be wrong by this much [m, rad] under the largest load that was identified: far below a micrometre.
@@ -64,7 +64,7 @@ class FastCompensator:
 
     def __init__(self, calibration: Calibration, bounds: Bounds | None = None) -> None:
         try:
-            from ppshw import fast_kernel
+            from ppshw.compensation import fast_kernel
         except ImportError as exc:
             raise PpshwError(f"fast setpoints need numba ({exc}): pip install 'ppshw[fast]'") from None
         self.calibration = calibration
@@ -140,7 +140,7 @@ def _refusal(slow: Compensator, wanted: Array, payload: Array, solved: Array, le
 
 
 def _chain(machine: Machine) -> Chain:
-    from ppshw.fast_kernel import Chain
+    from ppshw.compensation.fast_kernel import Chain
 
     def place(pose: Array) -> Array:
         return np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]])
@@ -158,7 +158,7 @@ def _chain(machine: Machine) -> Chain:
 
 def _allowed(slow: Compensator) -> Allowed:
     """The ends that Compensator's checks compute, to the last bit."""
-    from ppshw.fast_kernel import Allowed
+    from ppshw.compensation.fast_kernel import Allowed
 
     c, bounds, machine = slow.calibration, slow.bounds, slow.machine
     identified = (c.identified_joints(bounds.range_margin), c.identified_loads(bounds.range_margin))
@@ -169,7 +169,7 @@ def _allowed(slow: Compensator) -> Allowed:
 
 def _functions(calibration: Calibration) -> Functions:
     """Tabulate every frame's 7 × 6 matrix: errors without load, and per wrench component."""
-    from ppshw.fast_kernel import Functions
+    from ppshw.compensation.fast_kernel import Functions
 
     n = calibration.machine.n
     constant = np.zeros((n + 1, 7, 6))

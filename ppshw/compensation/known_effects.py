@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.compensation.past import Moment, Past, Signs
 from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
@@ -23,8 +24,7 @@ from ppshw.quantities import called
 from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
-from ppshw.terms.effect import UNNAMED, Effect
-from ppshw.terms.past import Moment, Past, Signs
+from ppshw.terms.effect import UNNAMED, Effect, is_beyond
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -41,7 +41,6 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
 FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]
-BEYOND_C = 0.1  # what thermometers of a hall read one another apart
 GRID = 33  # moments over which a drift is averaged
 EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anything in it
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
@@ -349,11 +348,6 @@ class KnownEffects:
         put_on = replace(now, load="now", time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
         return replace(past, known=seconds is not None)
-
-
-def is_beyond(here: Array, low: float, high: float) -> NDArray[np.bool_]:
-    """Whether thermometers stand where they never stood while an effect was measured, low to high [°C]."""
-    return np.asarray((here < low - BEYOND_C) | (here > high + BEYOND_C))
 
 
 def _with(approach: Signs, joint: int, side: int) -> Signs:

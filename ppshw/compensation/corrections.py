@@ -1,0 +1,97 @@
+"""A run's setpoints, each corrected with what went before it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppshw.compensation.compensator import Circumstances, Compensator, Setpoints
+from ppshw.compensation.known_effects import Verdict
+from ppshw.compensation.past import Moment, Past, Signs, approach_of
+from ppshw.kinematics import tip_poses
+from ppshw.machine import Machine
+from ppshw.recording import Around, Recording
+from ppshw.terms.earlier import goes_on
+
+Array = NDArray[np.float64]
+# An axis that stands this near to where it was sent last leaves from there, whatever its encoder rounds [m, rad].
+AT_REST = 1e-4
+
+
+class Corrections:
+    """Corrected setpoints of one run, each with the moves before it as its past: for a campaign.
+
+    after           what the machine did last, for effects that look back; without, the visits that the calibration
+                    was made from if the run begins soon after them (`earlier.goes_on`), else nothing
+    final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
+    left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
+    position_first  as the compensator's
+    """
+
+    def __init__(
+        self, compensator: Compensator, after: Recording | None = None, final_approach: Signs | None = None
+    ) -> None:
+        self._compensator, self._final = compensator, final_approach
+        self._past = Past()
+        self._visits = compensator.calibration.visits if after is None else None
+        if after is not None and compensator.known is not None:
+            self._past = compensator.known.past_of(after)
+        self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
+        self.position_first, self.left = compensator.position_first, np.zeros(2)
+
+    @property
+    def said(self) -> list[tuple[Verdict, int]]:
+        """What became of every effect, each reason for itself, and at how many of the setpoints until now."""
+        return list(self._said.values())
+
+    def as_dicts(self, taken_out: bool) -> list[dict[str, Any]]:
+        """The same for an answer: of those that were taken out, or of those that were not."""
+        return [{**v.as_dict(), "visits": n} for v, n in self.said if v.taken_out == taken_out]
+
+    def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
+        """(n,) corrected setpoints of `wanted` (n,), from the wrench (6,) as read `here` (n,)."""
+        payload = payload_at(self._compensator.machine, wrench, here, wanted)
+        known = self._compensator.known
+        if known is None:
+            return self._corrected(wanted, payload, Circumstances()).corrected
+        if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
+            self._past = known.past_of(self._visits)
+        last = self._past.moments[-1] if self._past.moments else None
+        if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
+            approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
+            last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
+            self._past = known.remember(self._past, last)
+        given = Circumstances(last.q, self._final, last.approach, around, None, self._past)
+        found = self._corrected(wanted, payload, given)
+        now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
+        self._past = known.remember(self._past, now)
+        for verdict in found.effects:
+            key = verdict.effect.name, verdict.effect.joint, verdict.why
+            self._said[key] = verdict, self._said.get(key, (verdict, 0))[1] + 1
+        return found.corrected
+
+    def _corrected(self, wanted: Array, payload: Array, given: Circumstances) -> Setpoints:
+        found = self._compensator.for_joints(wanted, payload, given=given)
+        self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
+        return found
+
+
+def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
+    """What the sensor will read at another pose, when the payload only weighs.
+
+    The weight keeps its direction in space and its line of action in the payload; where on that line the centre of mass
+    lies one reading cannot tell, so the point nearest to the sensor is taken. Exact where the sensor only turns about
+    the vertical; for tilts of δ it is off by weight × height × δ.
+
+    payload  (6,) read at joint values `here` (n,);  returns (6,) at `there` (n,)   [N, N·m]
+    """
+    turn = [(tip_poses(machine, q)[0, :3, :3] @ machine.tip_in_link[:3, :3].T @ machine.sensor_in_link[:3, :3])
+            for q in (here, there)]  # fmt: skip
+    force, moment = payload[:3], payload[3:]
+    size = float(force @ force)
+    lever = np.cross(force, moment) / size if size > 0 else np.zeros(3)
+    turned = turn[1].T @ turn[0] @ force
+    along = moment - np.cross(lever, force)  # a pure moment, if there is one, stays with the payload
+    return np.concatenate([turned, np.cross(lever, turned) + along])
