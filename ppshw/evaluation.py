@@ -50,6 +50,14 @@ def _fitted_frame(recording: Recording, predicted: Array) -> Array:
     return fit_rigid(recording.points[seen], predicted[seen])
 
 
+def by_visit(errors: Array) -> Array:
+    """(N,) rms of every visit's residuals (N, T, 3), nan where no target was found."""
+    square = (errors**2).sum(axis=2)
+    seen = np.isfinite(square)
+    mean = np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return np.where(seen.any(axis=1), np.sqrt(mean), np.nan)
+
+
 def nominal_residuals(recording: Recording, machine: Machine, refit_base: bool = False) -> Array:
     """The same, (N, T, 3) [m], for the ideal machine. Where the measuring frame is unknown it is fitted to this very
     recording, and so are the targets if they are: figures that flatter."""

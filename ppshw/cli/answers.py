@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,17 @@ def warn(source: str, warnings: Sequence[str]) -> None:
         print(f"warning: {source}: {warning}", file=sys.stderr)
 
 
-def doubts_about(machine: Any, recording: Any) -> list[str]:
-    """What is odd about a recording before anything is fitted to it, each in a line."""
-    from ppshw.diagnosis.columns import doubts_of_gravity
+def doubts_about(machine: Any, recording: Any, left: Callable[[Any], Any] | None = None) -> list[str]:
+    """What is odd about a recording before anything is fitted to it, each in a line.
+
+    left  where there is a calibration what it leaves of a recording, (N, T, 3) [m]
+    """
+    from ppshw.diagnosis.columns import doubts_of_gravity, doubts_of_moments
+    from ppshw.evaluation import by_visit
     from ppshw.identification.plausible import doubts
 
-    return doubts(recording) + doubts_of_gravity(machine, recording)
+    of_moments = [] if left is None else doubts_of_moments(recording, lambda r: by_visit(left(r)))
+    return doubts(recording) + doubts_of_gravity(machine, recording) + of_moments
 
 
 def as_they_stand(mistakes: Sequence[Any]) -> list[str]:

@@ -102,6 +102,7 @@ def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import evaluate as run
+    from ppshw.evaluation import residuals
     from ppshw.identification.plausible import refuse_another_machine, without_copies
     from ppshw.recording import listed, load_recording
 
@@ -111,7 +112,8 @@ def evaluate(a: argparse.Namespace) -> None:
     recording = without_copies(given)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
-    warnings = doubts_about(machine, given) + as_they_stand(plain_mistakes(machine, recording)[1])
+    left = None if calibration is None else lambda r: residuals(r, calibration, a.refit_base)
+    warnings = doubts_about(machine, given, left) + as_they_stand(plain_mistakes(machine, recording)[1])
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}

@@ -9,13 +9,14 @@ and moments, which is another load.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.evaluation import by_visit
 from ppshw.identification.joint import estimate
 from ppshw.identification.plausible import is_another_machine, misfit, refuse_another_machine
 from ppshw.identification.start import to_base
@@ -103,13 +104,9 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     refuse_another_machine(machine, recording)
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return recording, found
-    left = np.stack([_left(machine, r) for r in (recording, _times(recording, MOMENTS, -1.0))])
-    left = np.minimum(left, np.quantile(left.min(axis=0), FARTHEST))
-    given, other = (float(each) for each in np.sqrt((left**2).mean(axis=1)))
-    more = left[0] ** 2 - left[1] ** 2
-    sure = more.mean() > SURE * more.std() / np.sqrt(len(more))
+    given, other, sure = _by_either_sign(recording, lambda r: _left(machine, r))
     forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
-    if forces is None and given > REVERSED * other and sure:
+    if forces is None and sure:
         found.append(Mistake(_named(MOMENTS), -1.0, SIGN[-1.0], given, other))
         return _times(recording, MOMENTS, -1.0), found
     if forces is None:
@@ -153,6 +150,33 @@ def doubts_of_gravity(machine: Machine, recording: Recording) -> list[str]:
         f"forces of loaded visits point {np.degrees(away):.0f}° away from gravity: is gravity in {machine.file} wrong, "
         "or are the axes of force_sensor?"
     ]
+
+
+def doubts_of_moments(recording: Recording, left: Callable[[Recording], Array]) -> list[str]:
+    """A line where a calibration leaves less of the recording with its moments' signs turned.
+
+    left  what the calibration leaves of every visit of a recording (V,) [m], nan of one without a reading
+    """
+    if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
+        return []
+    given, other, sure = _by_either_sign(recording, left)
+    if not sure:
+        return []
+    return [f"the columns {_named(MOMENTS)} seem to have the opposite sign to those of the recording that the "
+            f"calibration was made from: it leaves {1e3 * given:.3f} mm rms, with the signs turned "
+            f"{1e3 * other:.3f}"]  # fmt: skip
+
+
+def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) -> tuple[float, float, bool]:
+    """What is left [m] of a recording as it is and with its moments' signs turned, and whether the latter is surely
+    less."""
+    both = np.stack([left(r) for r in (recording, _times(recording, MOMENTS, -1.0))])
+    both = both[:, np.isfinite(both).all(axis=0)]
+    both = np.minimum(both, np.quantile(both.min(axis=0), FARTHEST))
+    given, other = (float(each) for each in np.sqrt((both**2).mean(axis=1)))
+    more = both[0] ** 2 - both[1] ** 2
+    sure = more.mean() > SURE * more.std() / np.sqrt(len(more))
+    return given, other, bool(given > REVERSED * other and sure)
 
 
 def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
@@ -269,7 +293,7 @@ def _left(machine: Machine, recording: Recording) -> Array:
     fit = np.arange(len(some)) // IN_A_ROW % 2 == 0
     base, others = estimate(joint_model(machine, some), some.subset(fit)), some.subset(~fit)
     missed = to_base(others.points, base.measuring_in_base) - base.model.predict(Situation.of(others), base.theta)
-    return np.asarray(np.sqrt(np.nanmean((missed**2).sum(axis=2), axis=1)))
+    return by_visit(missed)
 
 
 def _has(recording: Recording, columns: Sequence[int]) -> bool:

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
-from ppshw.evaluation import figures, residuals
+from ppshw.evaluation import by_visit, figures, residuals
 from ppshw.recording import Recording
 from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
@@ -183,13 +183,10 @@ def fit(recording: Recording, calibration: Calibration) -> Fit:
     recording  of the calibration's machine; visits that it was not made from are judged the same
     """
     errors = residuals(recording, calibration)
-    square = (errors**2).sum(axis=2)
     seen = recording.seen
-    mean = np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    size = np.where(seen.any(axis=1), np.sqrt(mean) * 1e3, np.nan)
     measured = seen.any(axis=0)
     lost = np.asarray(~seen[:, measured].all(axis=1))
-    return Fit(errors, size, _outliers(recording, calibration, errors), lost)
+    return Fit(errors, by_visit(errors) * 1e3, _outliers(recording, calibration, errors), lost)
 
 
 def _outliers(recording: Recording, calibration: Calibration, errors: Array) -> NDArray[np.bool_]:

@@ -288,6 +288,20 @@ def test_identify_names_the_moments_whose_sign_is_wrong(desk: Path, columns: str
                                                 "they stand: set them right"]  # fmt: skip
 
 
+def test_evaluate_and_twin_warn_of_moments_of_the_other_sign_than_the_calibration_had(desk: Path) -> None:
+    given = ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json", "--json"]
+    asked = (["evaluate", desk / "good.csv", *given], ["twin", desk / "good.csv", *given, "--out", desk / "twin.csv"])
+    assert [json.loads(ppshw(*words).out)["warnings"] for words in asked] == [[], []]
+    times(-1.0, "Mx", "My", "Mz")(desk / "good.csv")
+    for words in asked:
+        said = ppshw(*words)
+        assert said.code == 0
+        (warning,) = json.loads(said.out)["warnings"]
+        assert said.err == f"warning: {desk / 'good.csv'}: {warning}\n"
+        assert warning.startswith("the columns Mx … Mz seem to have the opposite sign to those of the recording that the "
+                                  "calibration was made from: it leaves ")  # fmt: skip
+
+
 def test_a_recording_that_is_none_of_the_machine_s_is_told_which_columns_are_exchanged(desk: Path) -> None:
     header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
     header = header.replace("P1_", "?_").replace("P2_", "P1_").replace("?_", "P2_")
