@@ -27,6 +27,7 @@ WOUND_UP = 0.97
 SMOOTH = frozenset({"covariate", "load_legendre"})
 OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})  # any function of a link's own load is one or the other
 JUMPS = frozenset({"step", "hopping"})
+FALLS = frozenset({"load_side", "load_side_held"})  # to one side or the other, at whichever joint that bears the load
 READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
 
 
@@ -64,8 +65,8 @@ def of_its_kind(
         case "nonlinear_stiffness" if both_of_a_load:
             return _of_its_load(named, rival)
         case "clearance":
-            held = all(column.function == "load_side_held" for column in rival.columns)
-            return held or (both_of_a_load and _of_its_load(named, rival))
+            falls = all(column.function in FALLS for column in rival.columns)
+            return falls or (both_of_a_load and _of_its_load(named, rival))
         case "nonlinear_stiffness":
             return _of_its_load(named, rival) and all(column.function in SMOOTH for column in rival.columns)
         case "moving_weight":

@@ -67,6 +67,7 @@ def test_sides_that_a_load_holds_are_clearance_and_a_load_that_lags_is_creep_at_
     clearance = _named("clearance", "wrist", "wrist", "rz", "Mz")
     over = ("on_elbow_My", "previous_on_elbow_My")
     assert of_its_kind(clearance, _rival("elbow", "ry", *over, function="load_side_held"))
+    assert of_its_kind(clearance, _rival("elbow", "ry", "on_elbow_My", function="load_side"))
     assert not of_its_kind(clearance, _rival("elbow", "ry", *over))
     creep = _named("creep", "wrist", "wrist", "rz", "since_load_change")
     assert of_its_kind(creep, _rival("elbow", "ry", "on_elbow_My", "late_0.4_on_elbow_My"))

@@ -22,6 +22,7 @@ LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
 HALF_WAVES = (range(1, 7), range(7, 13))  # over its joint's travel, by which a frame gives way under its load
 LEAST_MOUNTED = 3  # loads one after the other, of which each may seat otherwise
+SUDDENLY_AT, SUDDEN = np.linspace(0.1, 0.9, 9), 0.05  # shares of the visits below a load; over how much of its spread
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
 
 
@@ -59,6 +60,7 @@ def under_load(c: Context) -> Iterator[Candidate]:
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
                     found.append(rival(c, frame, b, (load, f"temp_{place}_C"), warm))
             found += _between_posts(c, frame, b, load)
+            found += _suddenly(c, frame, b, load)
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
         if (most := _bends_most(c, frame)) is None:
             continue
@@ -77,6 +79,15 @@ def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterato
     names = load, f"q_{c.machine.joint_names[joint]}"
     for halves in HALF_WAVES:
         yield rival(c, frame, component, names, half_waves(c, joint, component, halves, pressed=component))
+
+
+def _suddenly(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:
+    """A frame gives way at once where its load passes some value, which smooth functions only follow by and by."""
+    w = c.wrenches[:, frame, component]
+    for at in np.quantile(w, SUDDENLY_AT) / w.std():
+        args = {"frame": frame, "component": component, "width": SUDDEN, "offset": float(at)}
+        column = Column("frame", "load_side", args, frame, component)
+        yield replace(rival(c, frame, component, (load,), [column]), share=1 / len(SUDDENLY_AT))
 
 
 def _bends_most(c: Context, frame: int) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,11 +57,14 @@ def creep_and_riddles(space: Workspace) -> list[Candidate]:
     return creeping + [k for k in named(space, "nameless") if (k.frame, k.component) == place]
 
 
-def look(space: Workspace, effects: Sequence[str], about: str = "") -> tuple[list[Found], Tried]:
-    """about: a joint that rivals without a name sit at or speak of; all of them by default."""
+def look(
+    space: Workspace, effects: Sequence[str], about: str = "", without: Collection[str] = ()
+) -> tuple[list[Found], Tried]:
+    """about: a joint that rivals without a name sit at or speak of; all of them by default. without: taken out of the
+    library by whoever asks."""
     rivals = [k for k in named(space, "nameless") if k.frame == about or any(about in name for name in k.covariates)]
     some = named(space, *effects) + rivals
-    tried = Tried(space, some, 5e-5)
+    tried = Tried(space, some, 5e-5, frozenset(without))
     return search(space, tried, np.random.default_rng(0)), tried
 
 

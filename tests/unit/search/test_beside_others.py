@@ -86,10 +86,35 @@ def test_a_name_stands_by_its_own_form_or_well_ahead_by_all_it_may_be_like(
     assert [f.name[0] for f in found] == ["creep" if stands else "nameless"]
 
 
-@pytest.mark.parametrize(("component", "stands"), [("rx", False), ("ry", True)])
-def test_two_forms_of_one_stiffness_bend_as_a_rival_does_and_two_directions_of_it_do_not(
-    space: Workspace, monkeypatch: pytest.MonkeyPatch, component: str, stands: bool
+@pytest.mark.parametrize(
+    ("effect", "own", "stands"),
+    [("friction_hysteresis", 109.6, False), ("friction_hysteresis", 109.9, True), ("backlash", 103.9, True),
+     ("cross_coupling", 106.7, False), ("cross_coupling", 106.9, True)],
+)  # fmt: skip
+def test_what_has_near_neighbours_without_a_name_must_be_farther_ahead(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, effect: str, own: float, stands: bool
 ) -> None:
+    """Of friction slack that closes softly is one, of play none was seen."""
+    mine = named(space, effect)[0]
+    riddle = next(k for k in named(space, "nameless") if k.frame == "base")
+    tried = Tried(space, [mine, replace(riddle, share=1.0)], 5e-5)
+    evidence = np.array([0.0, 100.0 - tried.log_share[-1]])
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (own, own, evidence))
+    found = [Found(0, tried.name(0), 0.0, own, first=own)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == [effect if stands else "nameless"]
+
+
+@pytest.mark.parametrize(
+    ("component", "bare", "stands"), [("rx", 1700.0, False), ("ry", 1700.0, True), ("ry", 1500.0, False)]
+)
+def test_two_forms_of_one_stiffness_bend_as_a_rival_does_and_two_directions_of_it_do_not(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, component: str, bare: float, stands: bool
+) -> None:
+    """Unless near forms make up for much of what the directions say by their bare ones (a joint that gives way in
+    proportion, its name taken out, was clearance by 2,169 in one direction, 3,328 in both and 4,527 with near forms,
+    where seats that each load finds said 4,315; another author's 24010)."""
     riddles = [replace(k, share=1.0) for k in creep_and_riddles(space) if k.effect == "nameless"][:1]
     columns = [Column("frame", "load_power", {"frame": 3, "component": 3, "exponent": e}, 3, 3) for e in (0.5, 2.0)]
     where = space.machine.frame_names[3]
@@ -100,6 +125,7 @@ def test_two_forms_of_one_stiffness_bend_as_a_rival_does_and_two_directions_of_i
     tried = Tried(space, [*forms, *riddles], 5e-5)
     evidence = np.array([0.0, 0.0, 1736.0 - tried.log_share[-1]])
     monkeypatch.setattr(standing, "_by_itself", lambda *_: (1376.0, 1824.0, evidence))
+    monkeypatch.setattr(standing, "_bare", lambda *_: bare)
     name = tried.name(0)
     found = [Found(0, name, 0.0, 1376.0, first=1376.0), Found(1, name, 0.0, 448.0, first=448.0)]
     standing.give_up(space, tried, found)
