@@ -26,8 +26,8 @@ AHEAD, AHEAD_OF_QUIET, ALL_AHEAD = 4.0, 0.12, 12.0
 # Some effects have neighbours close by that nobody has named (slack that closes softly, stiffness in steps). Where they
 # are what is there their rivals are hardly behind: of names in recordings of four authors, in part with the names taken
 # out, wrong friction was 5, 5, 6, 8 and 8 ahead (14 and 29 in two), right friction 10.5, 25 and more (19 names);
-# wrong clearance 4, 6, 6 and 9, right 11 and more (18; 8.2 in sealed 44065); wrong stiffness 3, 3 and 6, right 8, 11 and
-# more (14); wrong coupling 1 to 6.5 (four), right 7.5 and more (19). Right play, growth and jumps stand by 3 to 9.
+# wrong clearance 4, 6, 6 and 9, right 11 and more (18; 8.2 in sealed 44065); wrong stiffness 3, 3 and 6, right 8, 11
+# and more (14); wrong coupling 1 to 6.5 (four), right 7.5 and more (19). Right play, growth and jumps stand by 3 to 9.
 FARTHER_AHEAD = {"friction_hysteresis": 10.0, "clearance": 7.0, "nonlinear_stiffness": 7.0, "cross_coupling": 7.0}
 FARTHER_OF_QUIET = 0.5
 # Of a loud effect a form with few parameters never says quite as much as functions that bend: a softening joint said
