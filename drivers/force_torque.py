@@ -6,7 +6,7 @@ Sensor-specific: drivers/bota.py, drivers/gsv8.py. A sensor's numbers become a w
 
     f    (6,)    what the frame says
     M    (6, 6)  calibration matrix; identity when the sensor applies its own
-    w₀   (6,)    what it reads without payload, in SI units: table, flange and electronics
+    w₀   (6,)    what it reads without payload, in SI units; what counts as payload: docs/site.md
 """
 
 from __future__ import annotations

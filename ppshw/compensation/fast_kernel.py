@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 OK, OUTSIDE, NOT_REACHED, TOO_LARGE = 0, 1, 2, 3
-# Where Newton's method may stop and what it may leave [m, rad], see compensation.py; a miss that one step takes away.
+# Where Newton's method may stop and what it may leave [m, rad], as in inverse.py and compensator.py; a miss that one
+# step takes away.
 CONVERGED, REACHED, LAST = 1e-7, 1e-5, 1e-4
 MOST_STEPS = 30
 

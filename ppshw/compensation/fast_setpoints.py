@@ -2,7 +2,8 @@
 
 The same correction as compensation.Compensator.for_joints and the same refusals, in compiled code. What a joint's own
 position decides (generalized errors, compliances) is tabulated once as piecewise cubics. docs/decisions/
-compiled-setpoints.md says why. Needs numba: pip install 'ppshw[fast]'.
+compiled-setpoints.md says why. Needs numba, which `make` installs; elsewhere pip install '.[fast]' in
+the project's folder.
 """
 
 from __future__ import annotations

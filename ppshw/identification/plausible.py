@@ -42,9 +42,12 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
             break
         kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
     if _another_machine(median, ideal):
+        placed = machine.tracker.base is not None
+        or_open = ", or is `tracker.base: estimate` wanted there" if placed else ""
         raise RecordingError(
             f"{recording.source}: half of the targets are more than {distance(median)} from where '{machine.name}' "
-            "should have them; is it this machine, are they in metres, and in the measuring frame of the machine file?"
+            "should have them; is it this machine, are they in metres, and in the measuring frame of the machine file"
+            f"{or_open}?"
         )
     return kept, np.asarray(gross.any(axis=1))
 

@@ -49,7 +49,7 @@ def shares(foresight: Foresight, effect: str) -> dict[str | None, float]:
 def test_one_joint_sweeps_are_blind_to_cross_joint_errors_and_random_poses_are_not(
     seen: Foresight, machine: Machine, tmp_path: Path
 ) -> None:
-    assert max(shares(seen, "cross_coupling").values()) < 0.01  # 0.0 % in physics.md
+    assert max(shares(seen, "cross_coupling").values()) < 0.01  # blind to it
     anywhere = foresee(planned(RANDOM, machine, tmp_path))
     assert min(shares(anywhere, "cross_coupling").values()) > 0.1  # 11 % there
     assert any(line.startswith("  cross_coupling of ") and "add random poses" in line for line in seen.warnings())
@@ -97,7 +97,7 @@ def test_the_diagnosis_campaign_misses_nothing_that_a_campaign_on_the_positioner
     found = foresee(plan)  # as `ppshw plan` asks
     blind = {(r["effect"], r["joint"]) for r in found.rows if r["blind"]}
     assert blind <= found.never
-    # own weight behind rails, and a floor that gives way: "absorbed by" in physics.md's table
+    # own weight behind rails, and a floor that gives way: docs/campaigns.md's table of what no campaign shows
     assert {("moving_weight", "lateral"), ("missing_compliance", None)} <= found.never
     assert len(found.warnings()) == 2
     assert "that a campaign can show" in found.warnings()[0]
@@ -129,7 +129,7 @@ def test_visits_that_separate_two_effects_raise_what_tells_them_apart(
         Wanted(machine, ("backlash", "friction_hysteresis"), "vertical", sweeps, 15, 1, "next", "a test")
     )
     assert all(r["after"] > r["before"] for r in found.rows)
-    assert any("turns back" in block.what for block in found.blocks)  # small reversals, says physics.md
+    assert any("turns back" in block.what for block in found.blocks)  # small reversals: docs/diagnosis.md §5
     plan = planned(found.text, machine, tmp_path)
     wanted = np.concatenate([block.q for block in found.blocks])
     assert np.array([v.setpoints for v in plan.visits]) == pytest.approx(wanted, abs=1e-4)  # in the order chosen

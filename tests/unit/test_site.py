@@ -64,7 +64,7 @@ def test_the_example_is_a_site_of_six_axes() -> None:
         ("protocol: geocom", "protocol: emscon", "'tracker.protocol' is 'emscon', expected geocom"),
         ("gate_m: 0.05", "gate: 0.05", "unknown key 'tracker.gate'"),
         ("pressure_hPa: 1008", "pressure_hPa: 1.008", "expected between 500 and 1100"),
-        ("zero: [1.2, -310.4,", "zero: [-310.4,", "expected 6 numbers"),
+        ("zero: [1.2, -4.4,", "zero: [-4.4,", "expected 6 numbers"),
     ],
 )
 def test_a_mistake_is_reported_with_file_and_line(tmp_path: Path, old: str, new: str, complaint: str) -> None:
@@ -149,9 +149,11 @@ def test_a_machine_with_its_tracker_anywhere_needs_a_rough_pose(tmp_path: Path) 
     here = (str(ROOT / "machines/pps.yaml"), "m.yaml")
     with pytest.raises(SiteError, match=r"missing key 'tracker\.pose'"):
         load_site(site_file(tmp_path, here))
-    pose = ("# pose: {xyz: [4.2, 1.5, -3.0], rpy: [-1.571, 0, 0.35]}", "pose: {xyz: [4.2, 1.5, -3.0]}")
+    pose = ("# pose: {xyz: [4.2, 1.5, -3.0], rpy: [-1.571, 0.35, 0]}", "pose: {xyz: [4.2, 1.5, -3.0]}")
     site = load_site(site_file(tmp_path, here, pose))
     np.testing.assert_array_equal(site.tracker_in_base[:3, 3], [4.2, 1.5, -3.0])
+    plumb = load_site(site_file(tmp_path, here, (pose[0], pose[0].removeprefix("# "))))  # as the example has it
+    np.testing.assert_allclose(plumb.tracker_in_base[:3, 2], [0, 1, 0], atol=1e-3)  # standing axis: Y is up on pps
 
 
 def test_hurried_time_runs_on_from_process_to_process() -> None:
