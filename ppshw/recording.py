@@ -199,7 +199,8 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     if not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
         names = ", ".join(machine.targets)
         raise RecordingError(f"{table.source}: not one target was measured: every cell of {names} is empty")
-    has_wrench = any(c in cells for c in WRENCH_COMPONENTS)
+    # a bench without a force sensor leaves all cells of the columns empty
+    has_wrench = any(any(cells.raw(c)) for c in WRENCH_COMPONENTS if c in cells)
     wrench = np.zeros((len(table.rows), 6))
     if has_wrench:
         wrench = np.column_stack([

@@ -69,7 +69,8 @@ def doubts(recording: Recording) -> list[str]:
             "rows copies?"
         )
     if loads := loads_not_measured(recording):
-        silent = "the columns Fx … Mz read the same at every visit" if recording.has_wrench else "no columns Fx … Mz"
+        same = "the columns Fx … Mz read the same at every visit"
+        silent = same if recording.has_wrench else "nothing in columns Fx … Mz"
         said.append(
             f"{silent}, though loads change ({loads}): what they do to "
             "the machine cannot be told from its errors"

@@ -85,7 +85,7 @@ def find_sweeps(machine: Machine, recording: Recording, same_position: float = S
 def _check(machine: Machine, recording: Recording, sweeps: Sweeps, away: NDArray[np.bool_]) -> None:
     elastic = any(joint.elastic is not None for joint in machine.joints)
     if elastic and not any(c.paired for c in sweeps.configurations):
-        why = "under two different loads" if recording.has_wrench else "under known loads (no columns Fx … Mz)"
+        why = "under two different loads" if recording.has_wrench else "under known loads (nothing in columns Fx … Mz)"
         raise IdentificationFailed(f"{recording.source}: no configuration was measured {why}; {ADVICE}")
     for k, joint in enumerate(machine.joints):
         if not away[:, k].any():

@@ -246,7 +246,7 @@ def test_a_campaign_under_one_load_does_not_do() -> None:
 def test_a_campaign_without_the_force_sensor_does_not_do() -> None:
     whole = campaign("paper", 0, True)
     message = refused(replace(whole, wrench=0 * whole.wrench, has_wrench=False))
-    assert "no columns Fx … Mz" in message
+    assert "nothing in columns Fx … Mz" in message
 
 
 def test_a_joint_that_was_never_moved_alone_is_named() -> None:
