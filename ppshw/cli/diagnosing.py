@@ -118,6 +118,7 @@ def twin(a: argparse.Namespace) -> None:
     recording = parse_table(table, machine)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
+    recorded = figures(residuals(recording, calibration))
     warnings = doubts_about(machine, recording, lambda r: residuals(r, calibration))
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
@@ -127,7 +128,7 @@ def twin(a: argparse.Namespace) -> None:
         partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
     twin = figures(residuals(parse_table(made, machine), calibration))
     answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
-              "recording": figures(residuals(recording, calibration)), "twin": twin, "checks": checks,
+              "recording": recorded, "twin": twin, "checks": checks,
               "warnings": warnings}  # fmt: skip
     lines = [f"{a.out}: {len(recording)} visits; residuals of the calibration [mm]", FIGURE_HEAD]
     lines += [figure_row(name, answer[name]) for name in ("recording", "twin")]

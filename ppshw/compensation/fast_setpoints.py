@@ -67,7 +67,8 @@ class FastCompensator:
         try:
             from ppshw.compensation import fast_kernel
         except ImportError as exc:
-            raise PpshwError(f"fast setpoints need numba ({exc}): pip install 'ppshw[fast]'") from None
+            how = "pip install '.[fast]' in the project's folder"
+            raise PpshwError(f"fast setpoints need numba ({exc}): {how}") from None
         self.calibration = calibration
         self.machine = calibration.machine
         if (ways := freedoms(self.machine)) < 6:

@@ -247,13 +247,7 @@ class KnownEffects:
         chain = frames(machine, here.q, base)
         compliance = self._compliance(here)
         moments = [*past.moments, now]
-        if past.moments:
-            assert past.wrenches is not None
-            assert past.chain is not None
-            assert past.compliance is not None
-            wrenches = np.concatenate([past.wrenches, wrenches])
-            chain = np.concatenate([past.chain, chain])
-            compliance = np.concatenate([past.compliance, compliance])
+        wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)
         reference = dict(self._reference)
         start = reference.get("start", 0.0)
         time = self._times(moments)
@@ -314,13 +308,7 @@ class KnownEffects:
         changed = any(a.load != b.load for a, b in pairwise(past.moments[-1:] + moments))
         if not self._looks_back:
             return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], past.known or changed)
-        if past.moments:
-            assert past.wrenches is not None
-            assert past.chain is not None
-            assert past.compliance is not None
-            wrenches = np.concatenate([past.wrenches, wrenches])
-            chain = np.concatenate([past.chain, chain])
-            compliance = np.concatenate([past.compliance, compliance])
+        wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)
         everything = (*past.moments, *moments)
         since = moments[-1].time - 3600.0 * self._reference.get("hours", math.inf)
         late = next((k for k, m in enumerate(everything) if not m.time < since), len(everything) - 1)

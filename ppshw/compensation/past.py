@@ -44,6 +44,18 @@ class Past:
     compliance: Array | None = None
     known: bool = False
 
+    def followed_by(self, wrenches: Array, chain: Array, compliance: Array) -> tuple[Array, Array, Array]:
+        """The same of later moments, with those of this past before them."""
+        if not self.moments:
+            return wrenches, chain, compliance
+        assert self.wrenches is not None
+        assert self.chain is not None
+        assert self.compliance is not None
+        return (
+            np.concatenate([self.wrenches, wrenches]), np.concatenate([self.chain, chain]),
+            np.concatenate([self.compliance, compliance]),
+        )  # fmt: skip
+
 
 def approach_of(start: Array, end: Array, before: Signs | None = None) -> Signs:
     """Direction (n,) of a straight move; a joint that stays keeps the one that it had (0 where that is unknown)."""

@@ -48,6 +48,7 @@ LOADED_N, LOADED_NM = 20.0, 5.0
 # zero that jumped.) How much less it must leave for the given sign to be wrong, and by how many standard errors; and
 # for two signs to be told apart at all.
 ASKED, IN_A_ROW, REVERSED, SURE, TOLD = 400, 15, 1.04, 3.0, 1.01
+FEWEST = 10  # visits of which a standard error says something
 FARTHEST = 0.9  # share of the visits, the others counting as these
 TO, PLURAL = " … ", {"has": "have", "is": "are"}
 SIGN = {-1.0: "has the opposite sign"}
@@ -159,6 +160,8 @@ def doubts_of_moments(recording: Recording, left: Callable[[Recording], Array]) 
     """
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return []
+    if recording.seen.any(axis=1).sum() < FEWEST:
+        return []
     given, other, sure = _by_either_sign(recording, left)
     if not sure:
         return []
@@ -180,6 +183,8 @@ def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) ->
 
 
 def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
+    if not recording.seen.any():  # other points alone
+        return
     before = misfit(machine, recording)
     if before < GROSS_M:
         return
@@ -256,8 +261,8 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
         after = _unlike_a_payload(recording, changed.wrench, g)
         what = SIGN[-1.0] + (TOO if columns == FORCES and _loaded(recording, MOMENTS, LOADED_NM) else "")
         yield Mistake(_named(columns), -1.0, what, before, after), changed
-    for a, b in (pair for three in (FORCES, MOMENTS) for pair in itertools.combinations(three, 2)):
-        wrench = recording.wrench.copy()
+    for three, (first, second) in itertools.product((FORCES, MOMENTS), AXES):
+        wrench, a, b = recording.wrench.copy(), three[first], three[second]
         wrench[:, [a, b]] = wrench[:, [b, a]]
         after = _unlike_a_payload(recording, wrench, g)
         column = f"{WRENCH_COMPONENTS[a]} and {WRENCH_COMPONENTS[b]}"

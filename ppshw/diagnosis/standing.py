@@ -154,17 +154,20 @@ def _by_itself(
     """What a finding says beside the others, by its bare form; with all near forms, less what it took over from other
     names, and with further pieces of the same effect; the log evidence of all candidates beside the others. The others
     are then taken up."""
-    take_up(space, tried, [*others, replace(f, more=(), size=0.0) if f.more else f, *pieces], and_look=False)
-    whole = space.log_evidence()
-    take_up(space, tried, others)
+    every = _beside(space, tried, [replace(f, more=(), size=0.0) if f.more else f, *pieces], others)
     evidence, names = tried.said()
-    return float(names[tried.names.index(f.name)]), whole - space.log_evidence(), evidence
+    return float(names[tried.names.index(f.name)]), every, evidence
 
 
 def _bare(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces: Sequence[Found]) -> float:
     """What an effect in several directions says beside the others, in each by its bare form. The others are then taken
     up."""
-    take_up(space, tried, [*others, *(replace(g, near=(), more=()) for g in (f, *pieces))], and_look=False)
+    return _beside(space, tried, [replace(g, near=(), more=()) for g in (f, *pieces)], others)
+
+
+def _beside(space: Workspace, tried: Tried, mine: list[Found], others: list[Found]) -> float:
+    """What some findings say together beside others, which are then taken up."""
+    take_up(space, tried, [*others, *mine], and_look=False)
     whole = space.log_evidence()
     take_up(space, tried, others)
     return whole - space.log_evidence()

@@ -302,6 +302,29 @@ def test_evaluate_and_twin_warn_of_moments_of_the_other_sign_than_the_calibratio
                                   "calibration was made from: it leaves ")  # fmt: skip
 
 
+@pytest.mark.parametrize("command", ["evaluate", "twin"])
+def test_a_recording_of_another_point_alone_is_none_to_judge_a_calibration_by(desk: Path, command: str) -> None:
+    header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
+    readings = [k for k, name in enumerate(header) if name[:2] in ("P1", "P2", "P3")]
+    moved = [["" if k in readings else cell for k, cell in enumerate(row)] + [row[k] for k in readings[:3]] for row in rows]
+    rows = [[*header, "treatment_x", "treatment_y", "treatment_z"], *moved]
+    (desk / "point.csv").write_text("\n".join(map(",".join, rows)) + "\n", encoding="utf-8")
+    out = ["--out", desk / "twin.csv"] if command == "twin" else []
+    said = refused(desk, command, desk / "point.csv", "--machine", desk / "machine.yaml", "--calibration",
+                   desk / "cal.json", *out)  # fmt: skip
+    assert "the recording holds no measured target" in said
+
+
+def test_a_few_visits_do_not_tell_the_sign_of_moments(desk: Path) -> None:
+    """Of one visit what is left has no spread, and any difference would be sure."""
+    times(-1.0, "Mx", "My", "Mz")(desk / "good.csv")
+    lines = (desk / "good.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    given = ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json", "--json"]
+    for count, warnings in ((9, 0), (len(lines) - 1, 1)):
+        (desk / "few.csv").write_text("".join(lines[: 1 + count]), encoding="utf-8")
+        assert len(json.loads(ppshw("evaluate", desk / "few.csv", *given).out)["warnings"]) == warnings
+
+
 def test_a_recording_that_is_none_of_the_machine_s_is_told_which_columns_are_exchanged(desk: Path) -> None:
     header, *rows = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
     header = header.replace("P1_", "?_").replace("P2_", "P1_").replace("?_", "P2_")

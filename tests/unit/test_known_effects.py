@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ppshw.calibration import Calibration
+from ppshw.calibration import Calibration, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
+from ppshw.errors import CalibrationError
 from ppshw.evaluation import evaluate
 from ppshw.identification import identify
 from ppshw.machine import load_machine
@@ -286,6 +287,18 @@ def test_a_correlation_of_another_size_is_refused(rows: list[list[float]]) -> No
     effect = Effect("backlash", "vertical", (column, column), (1.0, 1.0), (1.0, 1.0), "by hand")
     with pytest.raises(ValueError, match="correlation of backlash is not of 2 by 2"):
         Effect.from_dict({**effect.as_dict(), "correlation": rows})
+
+
+def test_what_the_base_model_would_take_of_effects_must_be_of_its_parameters(tmp_path: Path) -> None:
+    column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    effect = Effect("backlash", "vertical", (column, column), (1e-4, 1e-4), (1e-5, 1e-5), "by hand")
+    for_one = replace(effect, mimicked=np.zeros((1, 7)))
+    with pytest.raises(ValueError, match="mimicked of backlash is not of 2 rows"):
+        Effect.from_dict(for_one.as_dict())
+    of_another = replace(base()[1], effects=(replace(effect, mimicked=np.zeros((2, 7))),))
+    of_another.save(tmp_path / "other.json")
+    with pytest.raises(CalibrationError, match=r"damaged: 'mimicked' of backlash is for 7 parameters, expected \d+$"):
+        load_calibration(tmp_path / "other.json", load_machine(PPS))
 
 
 def test_a_drift_makes_unsure_by_how_far_it_went() -> None:
