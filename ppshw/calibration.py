@@ -106,9 +106,18 @@ class Calibration:
 
     def doubts(self) -> list[str]:
         """What whoever moves axes by it should know, each in a line."""
-        loads = self.provenance.get("loads_not_measured")
-        return [f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
-                "its std_mm knows nothing of what they do"] if loads else []  # fmt: skip
+        said = []
+        if loads := self.provenance.get("loads_not_measured"):
+            said.append(
+                f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
+                "its std_mm knows nothing of what they do"
+            )
+        if self.machine.tracker.base is None:
+            said.append(
+                "where the tracker stood was estimated: poses are right relative to each other; where the base frame "
+                "is, which std_mm does not hold, is known no better than the machine was built"
+            )
+        return said
 
     def identified_joints(self, margin: float = RANGE_MARGIN) -> list[Identified]:
         """Per joint, in the chain's order; margin: share of the range that is let pass beyond its ends."""

@@ -21,6 +21,7 @@ from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
+AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 MOST_TURNS = 3.0  # of a joint before its limits look like degrees
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -216,7 +217,7 @@ def _joint(section: Section) -> Joint:
     origin = _origin(section)
     axis = section.vector("axis", 3)
     length = float(np.linalg.norm(axis))
-    if abs(length - 1.0) > 1e-6:
+    if abs(length - 1.0) > AXIS_ROUNDED:
         section.fail(f"'{section.path('axis')}' has length {length:g}, expected a unit vector", "axis")
     limits = _limits(section)
     mass, com = 0.0, np.zeros(3)

@@ -1,5 +1,5 @@
 """Files that are written whole or not at all: beside their place first, then moved there in one step; and their
-hash."""
+hash. What is no file (a pipe, /dev/stdout) stays what it is and gets what was written when it is whole."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import gettempdir
 
 from ppshw.errors import BadInput
 
@@ -18,17 +19,29 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
 
     may_be_missing  nothing written is nothing wrong
     """
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
+    passed_on = _is_no_file(path)
+    place = Path(gettempdir()) / path.name if passed_on else path.resolve() if path.is_symlink() else path
+    partial = place.with_name(f"{place.name}.{os.getpid()}.part")
     try:
         yield partial
         if partial.exists() or not may_be_missing:
-            os.replace(partial, path)
+            if passed_on:
+                with path.open("ab") as stream:
+                    stream.write(partial.read_bytes())
+            else:
+                os.replace(partial, place)
     except OSError as exc:
         if str(exc.filename or partial) == str(partial):  # a full disk names no file at all
             exc.filename = str(path)
         raise
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _is_no_file(path: Path) -> bool:
+    """Whether nothing may take the place of what is there: a device, a pipe, or what a process has open."""
+    in_use = path.absolute().parts[1:2] in (("dev",), ("proc",)) and path.exists()
+    return in_use or not (path.is_file() or path.is_dir() or not path.exists())
 
 
 def write_text(path: Path, text: str, error: type[BadInput] = BadInput) -> None:

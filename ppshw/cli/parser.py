@@ -119,7 +119,7 @@ def build_parser() -> argparse.ArgumentParser:
                    "(default: the frame of the calibration, or of the machine file)")  # fmt: skip
 
     for name, function, about in (
-        ("compensate", compensate, "wanted pose and load → corrected joint setpoints; moves nothing"),
+        ("compensate", compensate, "wanted pose and load → corrected joint setpoints; without --site moves nothing"),
         ("move", move, "the same as compensate, and drives the axes there"),
     ):
         p = add(name, function, about)
@@ -145,9 +145,8 @@ def build_parser() -> argparse.ArgumentParser:
         p.add_argument("--temperature", nargs="+", metavar="PLACE=21.5 …",
                        help="of a place, by the recording's name for it [°C]")  # fmt: skip
         p.add_argument("--loaded-for", type=positive, metavar="S", help="how long the load has been on [s]")
-        if name == "move":
-            p.add_argument("--site", required=True, metavar="S", help="site file")
-            _reset_faults(p)
+        p.add_argument("--site", required=name == "move", metavar="S", help="site file of the axes to drive there")
+        _reset_faults(p)
 
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR",

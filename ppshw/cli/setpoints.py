@@ -95,6 +95,9 @@ def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dic
 
 
 def compensate(a: argparse.Namespace) -> None:
+    if a.site is not None:
+        move(a)
+        return
     compensator, warnings = _compensator(a)
     answer, text = _corrected(a, compensator, _circumstances(a, compensator.calibration))
     warn(a.calibration, warnings)

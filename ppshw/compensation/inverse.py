@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
-from ppshw.kinematics import frames, joint_jacobian, tip_poses
+from ppshw.kinematics import frames, freedoms, joint_jacobian, tip_poses
 from ppshw.machine import Machine
 from ppshw.quantities import angle, distance, rounded
 from ppshw.terms import Situation
@@ -21,6 +21,9 @@ POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-7
 # Where a position goes before the orientation a radian counts as a tenth of a millimetre: ten milliradians that cannot
 # be put right then cost the position a nanometre on a lever of 0.1 m.
 POSITION_FIRST = 1e-4  # m/rad
+# A wanted pose is one that the ideal machine reaches; with fewer than six ways not all of its six numbers are free, and
+# it may be written with four decimals.
+REACHED, REACHED_IF_ROUNDED = 1e-6, 1e-4  # m, rad
 # A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
 AT_NEAREST = 1e-7
 # (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
@@ -68,10 +71,12 @@ def solve_pose(
         left[:, 3:] = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
         if np.abs(left[:, :3]).max() < POSITION_TOLERANCE and np.abs(left[:, 3:]).max() < ROTATION_TOLERANCE:
             break
-        if point is not None:  # errors would lend the joints ways that they have by a thousandth only
-            chain = frames(machine, q)
+        there = reached
+        if point is not None:  # errors would lend the joints ways, and levers, that they have by a thousandth only
+            tip, chain = tip_poses(machine, q), frames(machine, q)
+            there = tip[:, :3, 3] + tip[:, :3, :3] @ offset
         jacobian = np.empty((len(q), 6, machine.n))
-        jacobian[:, :3] = joint_jacobian(machine, chain, reached[:, None])[:, 0]
+        jacobian[:, :3] = joint_jacobian(machine, chain, there[:, None])[:, 0]
         for k, joint in enumerate(machine.joints):
             axis = chain[:, k + 1, :3, :3] @ joint.axis
             jacobian[:, 3:, k] = 0.0 if joint.prismatic else axis
@@ -110,7 +115,7 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
         if not joint.prismatic:  # whole turns: the one nearest to the middle of the travel
             middle = (lower[k] + upper[k]) / 2 if np.isfinite(lower[k] + upper[k]) else 0.0
             q[:, k] = middle + (q[:, k] - middle + np.pi) % (2 * np.pi) - np.pi
-    reached = (np.abs(left) < 1e-6).all(axis=1)
+    reached = (np.abs(left) < (REACHED_IF_ROUNDED if freedoms(machine) < 6 else REACHED)).all(axis=1)
     if not reached.any():
         nearest = amount(left[np.argmin(np.linalg.norm(left, axis=1))])
         raise CompensationRefused(

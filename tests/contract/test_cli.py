@@ -25,7 +25,7 @@ from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.recording import Table, load_recording, read_table
 from ppshw.recording_file import RecordingFile, only_writer
-from ppshw.whole_file import written_whole
+from ppshw.whole_file import write_text, written_whole
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 from tests.contract.desk import MACHINE, ROOT, Said, contents, ppshw, refused
@@ -443,6 +443,28 @@ def test_a_file_that_cannot_be_written_is_named_as_it_was_asked_for(desk: Path, 
     words = [str(PROGRAM), *words, "/proc/new"]
     said = subprocess.run(words, cwd=desk, capture_output=True, text=True, timeout=60, check=False)
     assert (said.returncode, said.stderr) == (2, "ppshw: /proc/new: No such file or directory\n")
+
+
+def test_what_is_no_file_is_written_to_and_a_link_is_followed(tmp_path: Path) -> None:
+    """As root a rename takes the place of /dev/stdout itself."""
+    pipe, link, there = tmp_path / "pipe", tmp_path / "link.json", tmp_path / "there.json"
+    os.mkfifo(pipe)
+    link.symlink_to(there)
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        write_text(pipe, "whole\n")
+        assert reader.communicate(timeout=20)[0] == b"whole\n"
+    for text in ("first", "second"):
+        write_text(link, text)
+        assert there.read_text(encoding="utf-8") == text
+    assert pipe.is_fifo()
+    assert link.is_symlink()
+    assert set(contents(tmp_path)) == {"pipe", "link.json", "there.json"}
+    command = "from pathlib import Path; from ppshw.whole_file import write_text; write_text(Path('/dev/stdout'), 'x')"
+    out = tmp_path / "out"
+    with out.open("wb") as stream:
+        subprocess.run([sys.executable, "-c", command], stdout=stream, check=True, timeout=60)
+    assert out.read_bytes() == b"x"
+    assert Path("/dev/stdout").is_symlink()
 
 
 def test_a_full_disk_names_the_file(tmp_path: Path) -> None:

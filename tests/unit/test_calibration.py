@@ -53,6 +53,15 @@ def test_it_comes_back_as_it_was(made: Made) -> None:
     assert not list(path.parent.glob("*.part"))
 
 
+def test_a_base_frame_that_nobody_located_is_a_doubt_about_setpoints(made: Made) -> None:
+    _, _, calibration, _ = made
+    (said,) = calibration.doubts()
+    assert said.startswith("where the tracker stood was estimated: poses are right relative to each other")
+    located = replace(calibration.machine.tracker, base=np.eye(4))
+    machine = replace(calibration.machine, tracker=located)
+    assert replace(calibration, model=replace(calibration.model, machine=machine)).doubts() == []
+
+
 def test_it_says_where_it_came_from_and_where_it_holds(made: Made) -> None:
     machine, recording, _, path = made
     data = json.loads(path.read_text(encoding="utf-8"))
