@@ -21,7 +21,8 @@ from ppshw.terms.shapes import Column, Context
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.
 OF_CLASS = {
     "approach": "backlash", "approach_q": "backlash",
-    "load_power": "nonlinear_stiffness", "load_side": "clearance", "load_side_held": "clearance",
+    "load_q": "missing_compliance", "load_power": "nonlinear_stiffness",
+    "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
 WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
 STEPS = 12  # moments in the recording at which something may go on that began as a jump
@@ -94,6 +95,10 @@ def _periodic(c: Context, k: Candidate) -> list[Column]:
     phases = ("sin", "cos")
     out = [_on(k, "wave", joint=joint, period=period / n, phase=phase) for n in (2, 3, 4) for phase in phases]
     by_load = itertools.product(presses(c, joint), phases)  # teeth give way
+    across = itertools.product(range(6), phases)  # what turns eccentrically wobbles
+    args, frame = {"joint": joint, "period": period}, k.columns[0].frame
+    out += [Column("frame", "wave", {**args, "phase": phase}, frame, comp) for comp, phase in across]
+    out += [_on(k, "wave_q", **args, phase=phase, by=joint) for phase in phases]  # and wears along its travel
     return out + [_on(k, "wave", joint=joint, period=period, phase=phase, pressed=by) for by, phase in by_load]
 
 
@@ -108,6 +113,9 @@ def _by_load(c: Context, k: Candidate) -> list[Column]:
     # a link that bends shifts and turns what it carries
     out += [Column("frame", first.function, first.args, first.frame, comp) for first in k.columns for comp in range(6)]
     out += [_on(k, "load_side_held", frame=frame, component=component, width=w) for w in (0.1, 0.25, 0.5)]
+    if k.joint is not None:  # more at one end of the travel
+        joint = c.machine.joint_names.index(k.joint)
+        out.append(_on(k, "load_q", frame=frame, component=component, joint=joint))
     return out
 
 

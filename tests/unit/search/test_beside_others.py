@@ -496,6 +496,20 @@ def test_a_wave_of_teeth_that_give_way_under_their_load_leaves_nothing_beside_it
     assert sum(column.args.get("pressed") == -1 for column in found[0].near) == 2
 
 
+@pytest.mark.parametrize("across", [True, False])
+def test_a_gear_that_wobbles_or_wears_along_its_travel_leaves_nothing_beside_its_wave(
+    space: Workspace, across: bool
+) -> None:
+    k = space.machine.joint_names.index(NAME)
+    wave = on_joint(space, "wave", period=travel_of(space) / 41, phase="sin")
+    other = replace(wave, component=(wave.component + 1) % 3 + 3)
+    along = wave.evaluate(space.context) * space.context.u(k)[:, None]
+    beside = of_size(space, other.evaluate(space.context) if across else along, 4)
+    moved = of_size(space, wave.evaluate(space.context), 20) + beside
+    found, _ = look(replace(space, data=space.data + moved), ["periodic_transmission"], NAME)
+    assert [f.name for f in found] == [("periodic_transmission", NAME)]
+
+
 def test_what_goes_with_a_load_that_never_changes_is_no_column_beside_a_name(space: Workspace) -> None:
     """The rail at the bottom bears all of the machine, and no patient here."""
     recording = replace(space.recording, wrench=np.zeros_like(space.recording.wrench), has_wrench=False)

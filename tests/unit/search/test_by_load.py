@@ -32,6 +32,16 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     assert np.quantile(at, 0.3) < said["knee_load"]["value"] < np.quantile(at, 0.7)
 
 
+def test_a_gap_that_widens_along_a_travel_is_one_effect(space: Workspace) -> None:
+    joint = space.machine.joint_names.index("yaw")
+    about = "yaw", "rx", "Mx"
+    gap = next(k for k in named(space, "clearance") if (k.joint, k.component, k.covariate) == about)
+    side = gap.columns[0].evaluate(space.context)
+    moved = of_size(space, side * (1 + 0.7 * space.context.u(joint))[:, None], 10)
+    found, _ = look(replace(space, data=space.data + moved), ["clearance", "missing_compliance"], "yaw")
+    assert [f.name for f in found] == [("clearance", "yaw")]
+
+
 def test_a_gap_may_be_wider_on_one_side_and_says_by_how_much(space: Workspace) -> None:
     sides = [k for k in named(space, "clearance") if len(k.columns) == 2]
     assert sides
