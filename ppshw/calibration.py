@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -209,6 +209,7 @@ class Calibration:
             },
             "sampled": self.sampled,
             "measuring_in_base": self.measuring_in_base.tolist(),
+            "hangs": machine.hangs,
             "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
             "noise": {
                 "pose": self.noise.pose.tolist(), "instrument": self.noise.instrument,
@@ -289,6 +290,9 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
 
 def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
     moved = machine.with_targets({name: np.array(data["targets"][name], dtype=float) for name in machine.targets})
+    if not isinstance(hangs := data.get("hangs", True), bool):
+        raise ValueError(f"'hangs' is {hangs!r}, expected true or false")
+    moved = replace(moved, hangs=hangs)
     terms: list[FrameTerm] = []
     target_offset = None
     values: list[float] = []

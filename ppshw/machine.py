@@ -88,6 +88,8 @@ class Machine:
 
     gravity (3,) in the base frame [m/s²]; tip_in_link (4, 4) end-effector frame in the last link frame; targets and
     points: name → (3,) in the end-effector frame [m]; sensor_in_link (4, 4) force sensor in the last link frame.
+    hangs: whether a link hangs on its own joint, so that its weight bends it; else only the joints before it are bent.
+    No file says so, a recording may (`identification.own_weight`).
     """
 
     name: str
@@ -101,6 +103,7 @@ class Machine:
     tracker: TrackerModel
     file: str
     sha256: str
+    hangs: bool = True
 
     @property
     def n(self) -> int:

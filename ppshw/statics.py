@@ -1,7 +1,7 @@
 """The wrench on every link, by statics   (paper eq. 15).
 
 W_i is what everything beyond frame i applies to it: the payload, as the force sensor measured it, and the weights of
-the bodies from joint i outwards. Body i itself counts: it hangs on joint i.
+the bodies from joint i outwards. Body i itself counts: it hangs on joint i, unless a recording says otherwise.
 """
 
 from __future__ import annotations
@@ -30,12 +30,14 @@ def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array
     moment = moment + np.cross(sensor[:, :3, 3], force)  # about the base's origin, where forces just add up
     out = np.empty((count, machine.n + 1, 6))
     for i in range(machine.n, -1, -1):
+        beyond = force, moment
         if i > 0:
             body = machine.joints[i - 1]
             centre = np.einsum("nij,j->ni", chain[:, i, :3, :3], body.com) + chain[:, i, :3, 3]
             force = force + body.mass * g
             moment = moment + np.cross(centre, body.mass * g)
-        here = moment - np.cross(chain[:, i, :3, 3], force)
-        out[:, i, :3] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], force)
+        pulls, turns = (force, moment) if machine.hangs else beyond
+        here = turns - np.cross(chain[:, i, :3, 3], pulls)
+        out[:, i, :3] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], pulls)
         out[:, i, 3:] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], here)
     return out

@@ -37,6 +37,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
+    from ppshw.identification.own_weight import NOT_HUNG
     from ppshw.identification.plausible import without_copies
     from ppshw.recording import listed, load_recording
 
@@ -81,6 +82,7 @@ def identify(a: argparse.Namespace) -> None:
         "set_aside": [int(v) + 1 for v in set_aside],
         "warnings": warnings,
         "ambiguous": list(told),
+        "hangs": calibration.machine.hangs,
         "seconds": round(time.perf_counter() - began, 2),
         "out": str(a.out),
     }
@@ -93,6 +95,8 @@ def identify(a: argparse.Namespace) -> None:
         f"  instrument           {calibration.noise.instrument * 1e3:.3f} mm per coordinate\n"
         f"  visits set aside     {answer['outliers']}{': ' if len(set_aside) else ''}{listed(set_aside)}"
     )
+    if not calibration.machine.hangs:
+        text += f"\n  own weights          {NOT_HUNG}"
     if a.method != "paper":
         text += f"\n  not told apart       {summary(ambiguous)}"
     say(a, answer, folded(text.splitlines()))

@@ -33,6 +33,7 @@ class Chain(NamedTuple):
     gravity: Array  # (3,)
     tip: Array  # (12,)
     sensor: Array  # (12,)
+    hangs: bool  # whether a body bends its own joint
 
 
 class Functions(NamedTuple):
@@ -213,14 +214,17 @@ def _load(chain, payload, w):
     moment = _add(_turn(turned, (payload[3], payload[4], payload[5])), _cross(where, force))
     for i in range(n, -1, -1):
         r, p = _rotation(w.frames[i]), _position(w.frames[i])
+        pulls, turns = force, moment
         if i > 0:
             body = chain.body[i - 1]
             weight = _scale(body[0], _vector(chain.gravity))
             centre = _add(p, _turn(r, (body[1], body[2], body[3])))
             force = _add(force, weight)
             moment = _add(moment, _cross(centre, weight))
-        here = _add(moment, _cross(force, p))
-        own_force, own_moment = _turn(_transpose(r), force), _turn(_transpose(r), here)
+            if chain.hangs:
+                pulls, turns = force, moment
+        here = _add(turns, _cross(pulls, p))
+        own_force, own_moment = _turn(_transpose(r), pulls), _turn(_transpose(r), here)
         for j in range(3):
             w.wrenches[i, j], w.wrenches[i, 3 + j] = own_force[j], own_moment[j]
 

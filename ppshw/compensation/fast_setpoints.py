@@ -155,6 +155,7 @@ def _chain(machine: Machine) -> Chain:
         np.array(machine.gravity, dtype=float),
         place(machine.tip_in_link),
         place(machine.sensor_in_link),
+        machine.hangs,
     )
 
 

@@ -33,6 +33,7 @@ from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import RecordingError
 from ppshw.identification.joint import Estimate, estimate
+from ppshw.identification.own_weight import as_it_hangs
 from ppshw.identification.plausible import without_copies
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
@@ -75,6 +76,7 @@ def diagnose(
     tell = progress or (lambda done, total: None)
     tell(0, 10)
     space, gross, calming = _believed(machine, recording, without, seed)
+    machine = space.machine
     tell(2, 10)
     # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
     tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
@@ -127,6 +129,9 @@ def _believed(
     """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
+    if not as_it_hangs(space.base, recording).hangs:
+        machine = replace(machine, hangs=False)
+        space = prepare(machine, recording, everything)
     # what swings more than the rest counts less, or its visits would be called wrong
     calming = _calming(space, without, seed)
     calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)

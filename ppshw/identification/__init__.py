@@ -8,6 +8,7 @@ import numpy as np
 
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, Progress, believable, estimate
+from ppshw.identification.own_weight import as_it_hangs
 from ppshw.identification.paper import identify_paper
 from ppshw.identification.plausible import without_gross_errors
 from ppshw.identification.structure import joint_model
@@ -26,11 +27,12 @@ def identify(
     RecordingError when it can be none of this machine."""
     kept, gross = without_gross_errors(machine, recording)
     try:
-        found: Estimate = (
-            identify_paper(machine, kept)
-            if method == "paper"
-            else estimate(joint_model(machine, kept), kept, progress=progress)
-        )
+        if method == "paper":
+            found: Estimate = identify_paper(machine, kept)
+        else:
+            found = estimate(joint_model(machine, kept), kept, progress=progress)
+            if not as_it_hangs(found, kept).hangs:
+                found = estimate(joint_model(replace(machine, hangs=False), kept), kept, progress=progress)
     except np.linalg.LinAlgError as exc:
         raise IdentificationFailed(f"{recording.source}: does not determine the model ({exc})") from None
     weights = np.where(gross, np.minimum(found.weights, GROSS_WEIGHT), found.weights)

@@ -80,7 +80,7 @@ def wanted(c: Calibration, count: int, share: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("machine", [PPS, ARM], ids=lambda m: m.name)
+@pytest.mark.parametrize("machine", [PPS, ARM, replace(ARM, hangs=False)], ids=["pps", "arm6", "arm6, no own weight"])
 def test_it_corrects_as_the_compensator_does_to_a_micrometre(machine: Machine, kind: str) -> None:
     c = calibration(machine, kind)
     slow, fast = Compensator(c, WIDE), FastCompensator(c, WIDE)

@@ -35,7 +35,7 @@ def body_weight(c: Context, joint: int, what: str, grows: int = 0, by: int | Non
     g = c.machine.gravity
     pose = c.chain[:, joint + 1]
     com = c.machine.joints[joint].com
-    for i in range(1, joint + 2):
+    for i in range(1, joint + 1 + c.machine.hangs):
         frame = c.chain[:, i]
         if what == "mass":
             force = np.broadcast_to(g, (len(out), 3))

@@ -1,0 +1,98 @@
+"""Whether links hang on their own joints: statics by hand, and what a recording of a simulated arm says of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ppshw.calibration import Calibration, content_digest, load_calibration
+from ppshw.diagnosis import diagnose
+from ppshw.errors import CalibrationError
+from ppshw.evaluation import residuals
+from ppshw.identification import identify
+from ppshw.identification.own_weight import share_of_own_weight
+from ppshw.kinematics import frames
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
+from ppshw.statics import link_wrenches
+from simulators import chain as kinematics
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Plant
+
+Array = NDArray[np.float64]
+Measured = tuple[Machine, Recording, bool]
+ARM = load_machine(Path(__file__).parents[2] / "machines/arm6.yaml")
+HEAVY = 2.0  # times the file's, on the same springs
+
+
+class Rooted(Plant):
+    """Its links are stiff at their joints and bend at their ends, by what lies beyond them."""
+
+    def link_wrenches(self, q: Array, load: Any = None) -> Array:
+        out = super().link_wrenches(q, load)
+        for i, joint in enumerate(self.chain.joints):
+            turn = kinematics.link_poses(self.chain, np.atleast_2d(q))[:, i, :3, :3]
+            weight = joint.mass * np.einsum("nba,b->na", turn, self.chain.gravity)
+            out[:, i] -= np.concatenate([weight, np.cross(joint.com, weight)], axis=1)
+        return out
+
+
+@pytest.fixture(scope="module", params=["hangs", "rooted"])
+def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Measured:
+    folder = tmp_path_factory.mktemp(request.param)
+    light = Path(ARM.file).read_text(encoding="utf-8").replace("[Fx, Fy, Fz, Mx, My, Mz]", "[Mx, My, Mz]")
+    heavy = light
+    for joint in ARM.joints:
+        heavy = heavy.replace(f"mass: {joint.mass:g},", f"mass: {HEAVY * joint.mass:g},")
+    for name, text in (("light", light), ("m", heavy)):
+        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+    machine = load_machine(folder / "m.yaml")
+    assert [j.mass for j in machine.joints] == pytest.approx([HEAVY * j.mass for j in ARM.joints])
+    plant = (Plant if request.param == "hangs" else Rooted).from_file(folder / "light.yaml", seed=5)
+    plant.chain = kinematics.read_chain(folder / "m.yaml")
+    csv = simulate_recording_csv(plant, folder / "r.csv", 260, np.random.default_rng(1), "mixed", interleave=True)
+    return machine, load_recording(csv, machine), request.param == "hangs"
+
+
+def test_a_link_that_does_not_hang_carries_what_lies_beyond_it() -> None:
+    rng = np.random.default_rng(2)
+    q, payload = rng.uniform(-1, 1, (3, 6)), rng.normal(size=(3, 6))
+    chain = frames(ARM, q)
+    hangs, rooted = (link_wrenches(replace(ARM, hangs=h), chain, payload) for h in (True, False))
+    for i, joint in enumerate(ARM.joints, start=1):
+        weight = joint.mass * np.einsum("nji,j->ni", chain[:, i, :3, :3], ARM.gravity)
+        own = np.concatenate([weight, np.cross(joint.com, weight)], axis=1)
+        np.testing.assert_allclose(hangs[:, i] - rooted[:, i], own, atol=1e-9)
+    np.testing.assert_allclose(hangs[:, 0], rooted[:, 0], atol=1e-9)
+
+
+def test_a_recording_says_whether_links_hang_on_their_joints(measured: Measured, tmp_path: Path) -> None:
+    machine, recording, hangs = measured
+    found = identify(machine, recording)
+    assert found.model.machine.hangs == hangs
+    if hangs:
+        share, std = share_of_own_weight(found, recording, np.arange(len(recording)))
+        assert abs(share - 1.0) < 4 * std < 0.5
+    calibration = Calibration.of(found, recording, "joint")
+    calibration.save(tmp_path / "cal.json")
+    back = load_calibration(tmp_path / "cal.json", machine)
+    assert back.machine.hangs == hangs
+    np.testing.assert_array_equal(residuals(recording, back), residuals(recording, calibration))
+    data = json.loads((tmp_path / "cal.json").read_text(encoding="utf-8"))
+    data["hangs"] = 3
+    (tmp_path / "cal.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="damaged: 'hangs' is 3, expected true or false"):
+        load_calibration(tmp_path / "cal.json", machine)
+
+
+def test_nothing_is_missing_in_a_machine_whose_links_do_not_hang(measured: Measured) -> None:
+    machine, recording, hangs = measured
+    found = diagnose(machine, recording)
+    assert found.answer["verdict"] == "consistent"
+    assert found.space.machine.hangs == hangs
