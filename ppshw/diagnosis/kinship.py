@@ -85,15 +85,19 @@ def counts(named: Candidate, rival: Candidate) -> float:
         return AKIN
     here = (named.frame, named.component) == (rival.frame, rival.component)
     if named.effect == "friction_hysteresis":
-        since = (f"approach_{named.joint}", f"way_{named.joint}")
-        return WOUND_UP if here and rival.covariates == since else 1.0
+        return WOUND_UP if here and winds_up(named, rival) else 1.0
     if named.effect != "backlash" or rival.covariates[:1] != (named.covariate,):
         return 1.0
     beside = [COMPONENTS[column.component] for column in named.columns[1:]]
     if len(rival.covariates) == 1 and rival.component in beside:
         return 1.0  # what rocks sideways alone is a cable
-    winds_up = any(name.startswith("way_") for name in rival.covariates)  # as friction does
-    return 1.0 if here and (winds_up or len(rival.covariates) == 1) else ALWAYS
+    as_friction = any(name.startswith("way_") for name in rival.covariates)
+    return 1.0 if here and (as_friction or len(rival.covariates) == 1) else ALWAYS
+
+
+def winds_up(named: Candidate, rival: Candidate) -> bool:
+    """Whether a rival is any function of the way since the joint of a finding turned back, at whichever frame."""
+    return rival.covariates == (f"approach_{named.joint}", f"way_{named.joint}")
 
 
 def stranger_than(named: Candidate, rival: Candidate) -> bool:

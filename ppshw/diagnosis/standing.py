@@ -12,7 +12,15 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
 from ppshw.diagnosis.found import Found, by_its_own_form, pieces_of, take_up
-from ppshw.diagnosis.kinship import OF_A_LOAD, counts, never_turned, of_its_kind, stranger_than
+from ppshw.diagnosis.kinship import (
+    OF_A_LOAD,
+    WOUND_UP,
+    counts,
+    never_turned,
+    of_its_kind,
+    stranger_than,
+    winds_up,
+)
 from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
 from ppshw.diagnosis.workspace import Workspace
@@ -142,6 +150,10 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[f
         if not of_its_kind(mine, tried.candidates[j], parallel, inside, not OF_A_LOAD & tried.without)
     ])  # fmt: skip
     counted = np.array([counts(mine, tried.candidates[j]) for j in others])
+    if mine.effect == "friction_hysteresis":  # nearly the same motion of another frame says no more of how it winds up
+        wound = np.array([winds_up(mine, tried.candidates[j]) for j in others])
+        here = np.max(evidence[others], where=wound & (counted < 1.0), initial=-math.inf)
+        counted = np.where(wound & (evidence[others] <= here), np.minimum(counted, WOUND_UP), counted)
     strange = np.array([stranger_than(mine, tried.candidates[j]) for j in others])
     weighed = counted * evidence[others] + tried.log_share[others] - AHEAD * strange
     said = float(logsumexp(weighed))

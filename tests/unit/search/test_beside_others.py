@@ -106,6 +106,25 @@ def test_what_has_near_neighbours_without_a_name_must_be_farther_ahead(
     assert [f.name[0] for f in found] == [effect if stands else "nameless"]
 
 
+@pytest.mark.parametrize(("here", "stands"), [(896.4, True), (892.0, False)])
+def test_how_friction_winds_up_tells_no_more_against_it_at_another_frame_that_moves_alike(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, here: float, stands: bool
+) -> None:
+    """Friction of a lift said 896.5, any function of the way since it turned back 896.4 there and 892.4 of the couch
+    above it; unless the other frame says more than its own place does, and is what moves."""
+    mine = named(space, "friction_hysteresis")[0]
+    rival = next(k for k in named(space, "nameless") if k.frame == "base" and k.component)
+    since = (f"approach_{mine.joint}", f"way_{mine.joint}")
+    own_place = replace(rival, frame=mine.frame, component=mine.component, covariates=since, share=1.0)
+    tried = Tried(space, [mine, own_place, replace(rival, covariates=since, share=1.0)], 5e-5)
+    evidence = np.array([896.5, here, 892.4])
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (896.5, 899.2, evidence))
+    found = [Found(0, tried.name(0), 0.0, 896.5, first=896.5)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == ["friction_hysteresis" if stands else "nameless"]
+
+
 @pytest.mark.parametrize(
     ("component", "bare", "stands"), [("rx", 1700.0, False), ("ry", 1700.0, True), ("ry", 1500.0, False)]
 )
