@@ -25,6 +25,7 @@ OF_CLASS = {
     "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
 WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
+MANY_WAVES = 8  # over a travel, of which one sees that they grow along it; few that do are any function (a dent)
 STEPS = 12  # moments in the recording at which something may go on that began as a jump
 
 
@@ -98,7 +99,8 @@ def _periodic(c: Context, k: Candidate) -> list[Column]:
     across = itertools.product(range(6), phases)  # what turns eccentrically wobbles
     args, frame = {"joint": joint, "period": period}, k.columns[0].frame
     out += [Column("frame", "wave", {**args, "phase": phase}, frame, comp) for comp, phase in across]
-    out += [_on(k, "wave_q", **args, phase=phase, by=joint) for phase in phases]  # and wears along its travel
+    if MANY_WAVES * period < float(np.ptp(c.recording.q[:, joint])):  # and wears along its travel
+        out += [_on(k, "wave_q", **args, phase=phase, by=joint) for phase in phases]
     return out + [_on(k, "wave", joint=joint, period=period, phase=phase, pressed=by) for by, phase in by_load]
 
 

@@ -106,6 +106,23 @@ def test_what_has_near_neighbours_without_a_name_must_be_farther_ahead(
     assert [f.name[0] for f in found] == [effect if stands else "nameless"]
 
 
+@pytest.mark.parametrize(("said", "wanted"), [(2921.0, "clearance"), (2901.0, "nonlinear_stiffness")])
+def test_a_function_of_a_load_stands_by_the_name_that_says_more(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
+) -> None:
+    """A wrist that falls was a stiffness when a scale had been found beside it, and lost that to a fall without a name."""
+    some = [named(space, effect)[0] for effect in ("nonlinear_stiffness", "clearance")]
+    tried = Tried(space, [*some, named(space, "nameless")[0]], 5e-5)
+    names = np.array([{"nonlinear_stiffness": 2895.0, "clearance": said}.get(effect, 0.0) for effect, _ in tried.names])
+    evidence = np.array([2895.0, said, 0.0])
+    monkeypatch.setattr(tried, "said", lambda: (evidence, names))
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (2895.0, 2920.0, evidence))
+    found = [Found(0, tried.name(0), 0.0, 2895.0, first=2895.0)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == [wanted]
+
+
 @pytest.mark.parametrize(("here", "stands"), [(896.4, True), (892.0, False)])
 def test_how_friction_winds_up_tells_no_more_against_it_at_another_frame_that_moves_alike(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, here: float, stands: bool
