@@ -110,7 +110,7 @@ def test_what_has_near_neighbours_without_a_name_must_be_farther_ahead(
 def test_a_function_of_a_load_stands_by_the_name_that_says_more(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, said: float, wanted: str
 ) -> None:
-    """A wrist that falls was a stiffness when a scale had been found beside it, and lost that to a fall without a name."""
+    """A wrist that falls was a stiffness beside a scale, and lost that name to a fall without one."""
     some = [named(space, effect)[0] for effect in ("nonlinear_stiffness", "clearance")]
     tried = Tried(space, [*some, named(space, "nameless")[0]], 5e-5)
     names = np.array([{"nonlinear_stiffness": 2895.0, "clearance": said}.get(effect, 0.0) for effect, _ in tried.names])
