@@ -40,8 +40,9 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
 
 def _is_no_file(path: Path) -> bool:
     """Whether nothing may take the place of what is there: a device, a pipe, or what a process has open."""
-    in_use = path.absolute().parts[1:2] in (("dev",), ("proc",)) and path.exists()
-    return in_use or not (path.is_file() or path.is_dir() or not path.exists())
+    where = path.absolute().parts[1:3]
+    in_use = where[:1] == ("proc",) or where in (("dev", "stdout"), ("dev", "stderr"), ("dev", "fd"))
+    return path.exists() and (in_use or not (path.is_file() or path.is_dir()))
 
 
 def write_text(path: Path, text: str, error: type[BadInput] = BadInput) -> None:

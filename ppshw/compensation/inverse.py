@@ -73,7 +73,8 @@ def solve_pose(
             break
         there = reached
         if point is not None:  # errors would lend the joints ways, and levers, that they have by a thousandth only
-            tip, chain = tip_poses(machine, q), frames(machine, q)
+            chain = frames(machine, q)
+            tip = chain[:, -1] @ machine.tip_in_link
             there = tip[:, :3, 3] + tip[:, :3, :3] @ offset
         jacobian = np.empty((len(q), 6, machine.n))
         jacobian[:, :3] = joint_jacobian(machine, chain, there[:, None])[:, 0]

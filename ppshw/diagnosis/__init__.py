@@ -33,7 +33,7 @@ from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import RecordingError
 from ppshw.identification.joint import Estimate, estimate
-from ppshw.identification.own_weight import as_it_hangs
+from ppshw.identification.own_weight import links_hang
 from ppshw.identification.plausible import without_copies
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
@@ -129,7 +129,7 @@ def _believed(
     """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
     everything = np.ones(len(recording), dtype=bool)
     space = prepare(machine, recording, everything)
-    if not as_it_hangs(space.base, recording).hangs:
+    if not links_hang(space.base, recording):
         machine = replace(machine, hangs=False)
         space = prepare(machine, recording, everything)
     # what swings more than the rest counts less, or its visits would be called wrong

@@ -8,7 +8,7 @@ import numpy as np
 
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.joint import Estimate, Progress, believable, estimate
-from ppshw.identification.own_weight import as_it_hangs
+from ppshw.identification.own_weight import links_hang
 from ppshw.identification.paper import identify_paper
 from ppshw.identification.plausible import without_gross_errors
 from ppshw.identification.structure import joint_model
@@ -31,7 +31,7 @@ def identify(
             found: Estimate = identify_paper(machine, kept)
         else:
             found = estimate(joint_model(machine, kept), kept, progress=progress)
-            if not as_it_hangs(found, kept).hangs:
+            if not links_hang(found, kept):
                 found = estimate(joint_model(replace(machine, hangs=False), kept), kept, progress=progress)
     except np.linalg.LinAlgError as exc:
         raise IdentificationFailed(f"{recording.source}: does not determine the model ({exc})") from None

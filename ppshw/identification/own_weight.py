@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ppshw.identification.joint import Estimate
 from ppshw.identification.start import to_base
-from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 
@@ -31,15 +30,15 @@ FEWEST, MOST = 40, 1024  # visits that are asked
 LITTLE = 1e-6  # what a column with its prior moves targets by, over their noise
 
 
-def as_it_hangs(found: Estimate, recording: Recording) -> Machine:
-    """The machine of an estimate; `hangs` False where the recording, that of the estimate, is sure of it."""
-    machine = found.model.machine
-    believed = np.flatnonzero(recording.seen.any(axis=1))
-    if not machine.hangs or len(believed) < FEWEST or not any(j.mass > 0 and j.elastic for j in machine.joints):
-        return machine
-    share, std = share_of_own_weight(found, recording, believed[:: -(-len(believed) // MOST)])
+def links_hang(found: Estimate, recording: Recording) -> bool:
+    """Whether a machine is to be taken as one whose links hang on their joints, as its estimate took it: not where the
+    recording, that of the estimate, is sure of the contrary."""
+    visits = np.flatnonzero(recording.seen.any(axis=1))
+    if len(visits) < FEWEST or not any(j.mass > 0 and j.elastic for j in found.model.machine.joints):
+        return True
+    share, std = share_of_own_weight(found, recording, visits[:: -(-len(visits) // MOST)])
     odds = (1.0 - 2.0 * share) / (2.0 * std**2)
-    return replace(machine, hangs=not (odds > SURE and abs(share) < NEAR))
+    return not (odds > SURE and abs(share) < NEAR)
 
 
 def share_of_own_weight(found: Estimate, recording: Recording, visits: NDArray[np.int64]) -> tuple[float, float]:

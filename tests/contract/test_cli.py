@@ -12,6 +12,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -465,6 +466,14 @@ def test_what_is_no_file_is_written_to_and_a_link_is_followed(tmp_path: Path) ->
         subprocess.run([sys.executable, "-c", command], stdout=stream, check=True, timeout=60)
     assert out.read_bytes() == b"x"
     assert Path("/dev/stdout").is_symlink()
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no files in memory")
+def test_a_file_in_memory_is_a_file_and_is_written_anew() -> None:
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        for text in ("first", "second"):
+            write_text(Path(folder) / "answer.json", text)
+        assert (Path(folder) / "answer.json").read_text(encoding="utf-8") == "second"
 
 
 def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
