@@ -1,10 +1,9 @@
 """One program to a CAN bus. Two would configure, move and switch off the same drives, and on a serial adapter each
 would hear half of the answers; python-can lets both in.
 
-Whoever opens a bus holds a lock on a file in the system's folder for temporary files, which the system drops with the
-process, however that ends. Which bus it is, is told by python-can's own arguments: two names for one adapter are two
-buses, except for links to one device. `virtual` buses exist inside one process and are not locked; nor is any on
-Windows, where adapters are opened by one program only.
+Whoever opens a bus holds a lock on a file in the system's folder for temporary files. Which bus it is, is told by
+python-can's own arguments: two names for one adapter are two buses, except for links to one device. `virtual` buses
+exist inside one process and are not locked; nor is any on Windows, where adapters are opened by one program only.
 """
 
 from __future__ import annotations
@@ -18,11 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ppshw.errors import BusLost
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from ppshw.file_lock import locked
 
 # by which python-can's interfaces say which adapter they mean; bitrate and the like say how it is used
 WHICH = ("channel", "host", "port", "serial", "unique_hardware_id", "device_id", "device", "index", "bus", "address")
@@ -34,10 +29,10 @@ class BusLock:
     def __init__(self, name: str, can: Mapping[str, Any]) -> None:
         self._path = lock_file(can)
         self._handle: int | None = None
-        if fcntl is None or can.get("interface") == "virtual":
+        if os.name == "nt" or can.get("interface") == "virtual":
             return
         try:
-            self._handle = _lock(self._path)
+            self._handle = locked(self._path)
         except BlockingIOError:
             raise BusLost(name, "another program has it; wait until that has ended") from None
         except OSError as error:
@@ -60,27 +55,3 @@ def lock_file(can: Mapping[str, Any]) -> Path:
                 word = os.path.realpath(word.partition("@")[0])
             words.append(word)
     return Path(tempfile.gettempdir(), re.sub(r"[^\w.-]+", "_", "-".join(["ppshw", *words, "can.lock"])))
-
-
-def _lock(path: Path) -> int:
-    """A handle that holds the lock. Raises BlockingIOError when somebody else does."""
-    while True:
-        handle = _open(path)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.stat(path), os.fstat(handle)):
-                return handle
-        except FileNotFoundError:
-            pass
-        except OSError:
-            os.close(handle)
-            raise
-        os.close(handle)  # the one before removed the file between our opening and locking it: once more
-
-
-def _open(path: Path) -> int:
-    """For reading, which is enough for a lock: the file may be another user's."""
-    try:
-        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o644)

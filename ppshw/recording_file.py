@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from ppshw.errors import RecordingError, RunFailed
+from ppshw.file_lock import locked
 from ppshw.whole_file import written_whole
 
 FORMAT = "ppshw recording 1"
@@ -36,27 +37,17 @@ def is_sqlite(path: Path) -> bool:
 def only_writer(path: Path | str) -> Iterator[None]:
     """Nobody else runs into the same recording meanwhile. Raises RecordingError at once when somebody does.
 
-    A lock on `<path>.lock` beside it, which the system drops with the process, however that ends; the recording itself
-    may not be there yet, and SQLite's own locks are held for one transaction only.
+    A lock on `<path>.lock` beside it: the recording itself may not be there yet, and SQLite's own locks are held for
+    one transaction only.
     """
-    import fcntl  # not on Windows, where everything else can be used
-
     path = Path(path)
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: the folder {path.parent} does not exist")
     lock = path.with_name(path.name + ".lock")
-    while True:
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.stat(lock), os.fstat(handle)):
-                break
-        except BlockingIOError:
-            os.close(handle)
-            raise RecordingError(f"{path}: another run is writing it; wait for its end or choose a new file") from None
-        except FileNotFoundError:
-            pass
-        os.close(handle)  # the one before removed the file between our opening and locking it: once more
+    try:
+        handle = locked(lock)
+    except BlockingIOError:
+        raise RecordingError(f"{path}: another run is writing it; wait for its end or choose a new file") from None
     try:
         yield
     finally:
