@@ -396,6 +396,8 @@ def _read_csv(path: Path) -> Table:
     except csv.Error as exc:
         raise RecordingError(f"{path}:{reader.line_num}: not valid CSV ({exc})") from None
     for k, name in enumerate(names := [column.strip() for column in header]):
+        if not name and k == 0:  # row numbers, as programs for tables write them
+            continue
         if not name or name in names[:k]:
             raise RecordingError(f"{path}:1: column {k + 1} is {'twice here: ' + name if name else 'without a name'}")
     if not rows:

@@ -39,7 +39,7 @@ def report(a: argparse.Namespace) -> None:
 
 
 def diagnose(a: argparse.Namespace) -> None:
-    """diagnose: locate, name, model; the answer goes into the file that --json names, the sentences to the terminal."""
+    """diagnose: locate, name, model; sentences to the terminal, the answer into the file that --json names."""
     from ppshw.diagnosis import diagnose as run
     from ppshw.diagnosis import serial
     from ppshw.diagnosis.checks import sentence
@@ -54,7 +54,7 @@ def diagnose(a: argparse.Namespace) -> None:
         raise BadInput(f"--without {min(without - set(NAMES))}: no such effect, expected some of {', '.join(NAMES)}")
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
-    new_files([out for out in (a.json, a.out, a.page) if out is not None], a.rec, machine.file)
+    new_files([out for out in (a.json, a.out, a.page) if out not in (None, "-")], a.rec, machine.file)
     warnings = doubts_about(machine, recording)
     if not np.isfinite(recording.time).all():
         warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
@@ -69,8 +69,13 @@ def diagnose(a: argparse.Namespace) -> None:
             write_diagnosis(found, Path(a.page))
     if a.out is not None:
         extended(found.space, found.found, answer["findings"]).save(a.out)
-    with written_whole(Path(a.json)) as partial:
-        partial.write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    text = json.dumps(answer, indent=1)
+    if a.json == "-":
+        put(text)
+        return
+    if a.json is not None:
+        with written_whole(Path(a.json)) as partial:
+            partial.write_text(text, encoding="utf-8")
     held = answer["held_out"]
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
     lines += [f"  {f['sentence']} {how_sure(f)}" for f in answer["findings"]]

@@ -161,7 +161,8 @@ def build_parser() -> argparse.ArgumentParser:
     p.set_defaults(function=diagnose)
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
     machine(p)
-    p.add_argument("--json", required=True, metavar="OUT.json", help="the answer")
+    p.add_argument("--json", nargs="?", const="-", metavar="OUT.json",
+                   help="the answer as JSON, into a file; without one printed instead of the sentences")  # fmt: skip
     p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
     p.add_argument("--page", metavar="OUT.html", help="a page with pictures: where it sits, what was found, how sure")
     p.add_argument("--without", nargs="+", default=[], metavar="NAME …", help="effects that are not to be thought of")

@@ -98,6 +98,8 @@ def compensate(a: argparse.Namespace) -> None:
     if a.site is not None:
         move(a)
         return
+    if a.reset_faults:
+        raise BadInput("--reset-faults: no drive is spoken to without --site")
     compensator, warnings = _compensator(a)
     answer, text = _corrected(a, compensator, _circumstances(a, compensator.calibration))
     warn(a.calibration, warnings)

@@ -681,6 +681,8 @@ ASKED: dict[str, tuple[str, str]] = {
     "a calibration into a folder": ("identify good.csv --machine machine.yaml --out .", "a folder, expected the name"),
     "two answers into one file": ("diagnose good.csv --machine machine.yaml --json x --out x", "x: two answers would go there"),
     "a page over its answer": ("diagnose good.csv --machine machine.yaml --json x --page ./x", "x: two answers would go there"),
+    "faults of no drive": ("compensate CAL --joints 0 0 --wrench 0 0 0 0 0 0 --reset-faults",
+                           "--reset-faults: no drive is spoken to without --site"),
     "an answer over its recording": ("diagnose good.csv --machine machine.yaml --json good.csv", "good.csv: is what is read here"),
     "visits over what they add to": ("plan little.yaml --machine machine.yaml --to-separate backlash,creep --out little.yaml",
                                      "little.yaml: is what is read here"),

@@ -98,6 +98,23 @@ def test_a_canonical_csv_goes_in_and_comes_out_the_same(desk: Path) -> None:
     assert load_recording(desk / "again.db", machine).sha256 == load_recording(desk / "good.csv", machine).sha256
 
 
+def test_row_numbers_in_a_first_column_without_a_name_are_kept(desk: Path) -> None:
+    lines = (desk / "good.csv").read_text(encoding="utf-8").splitlines()
+    numbered = ["," + lines[0], *(f"{k},{line}" for k, line in enumerate(lines[1:]))]
+    (desk / "good.csv").write_text("\n".join(numbered) + "\n", encoding="utf-8")
+    answer("import", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "again.db")
+    answer("export", desk / "again.db", desk / "out.csv")
+    assert (desk / "out.csv").read_bytes() == (desk / "good.csv").read_bytes()
+
+
+@pytest.mark.parametrize("words", [["--json"], ["--json", "-"]])
+def test_a_diagnosis_prints_its_answer_where_no_file_is_named(desk: Path, words: list[str]) -> None:
+    before = contents(desk)
+    said = ppshw("diagnose", desk / "good.csv", "--machine", desk / "machine.yaml", *words)
+    assert (said.code, json.loads(said.out)["visits"]) == (0, 90)
+    assert contents(desk) == before
+
+
 ODD = ('q_cmd_rail,q_cmd_turn,P1_x,P1_y,P1_z,P2_x,P2_y,P2_z,'
        '"note, free",größe_µ,Q_CMD_RAIL,visit,plan_index,empty,cov_tilt\n'
        '0.1,0.2,0.80,0.10,0.6,0.31,0.29,0.60,"a, b","He said ""no""",7,1,x,,1e-3\n'
