@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ppshw import __version__
 from ppshw.errors import CalibrationError
-from ppshw.identification.joint import Estimate
+from ppshw.identification.joint import Estimate, believable
 from ppshw.identification.noise import Noise
 from ppshw.identification.plausible import loads_not_measured
 from ppshw.machine import WRENCH_COMPONENTS, Machine
@@ -138,8 +138,8 @@ class Calibration:
 
     @classmethod
     def of(cls, estimate: Estimate, recording: Recording, method: str, now: datetime | None = None) -> Calibration:
-        """From an estimate of a recording; visits without any target do not widen the valid range."""
-        used = recording.subset(estimate.weights > 0)
+        """From an estimate of a recording; visits that were set aside or saw no target do not widen the valid range."""
+        used = recording.subset(believable(estimate.weights))
         machine = estimate.model.machine
         provenance = {
             "method": method,
@@ -150,7 +150,7 @@ class Calibration:
             "visits": len(recording),
             "visits_used": len(used),
             "readings": int(recording.seen.sum()),
-            "visits_down_weighted": int((estimate.weights[recording.seen.any(axis=1)] < 0.5).sum()),
+            "visits_down_weighted": int(recording.seen.any(axis=1).sum()) - len(used),
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }

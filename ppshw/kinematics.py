@@ -167,12 +167,16 @@ def joint_jacobian(machine: Machine, chain: Array, positions: Array) -> Array:
     return out
 
 
+def travel(machine: Machine) -> tuple[Array, Array]:
+    """Limits (n,), (n,) [m, rad]; half a turn to either side where the file gives none."""
+    lower, upper = machine.limits()
+    return np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
+
+
 def freedoms(machine: Machine) -> int:
     """In how many of a frame's six ways the joints of the ideal machine can move the end effector: the most over poses
     spread over the travel, since there are fewer at singular ones."""
-    lower, upper = machine.limits()
-    low, high = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
-    q = np.random.default_rng(0).uniform(low, high, (16, machine.n))
+    q = np.random.default_rng(0).uniform(*travel(machine), (16, machine.n))
     chain = frames(machine, q)
     tip = chain[:, -1] @ machine.tip_in_link
     moved = joint_jacobian(machine, chain, tip[:, None, :3, 3])[:, 0]

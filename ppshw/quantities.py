@@ -1,4 +1,5 @@
-"""Numbers with their units, and names, for the eye: what is printed, never what is written for programs."""
+"""Numbers with their units, and names, for the eye: what is printed, never what is written for programs; and numbers as
+people write them."""
 
 from __future__ import annotations
 
@@ -7,6 +8,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+
+def number(text: str) -> float:
+    """Of a cell or an argument. Raises ValueError."""
+    if "_" in text:  # Python reads 1_000 as a number
+        raise ValueError
+    return float(text)
 
 
 def distance(metres: float) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ppshw.errors import RecordingError
 from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.quantities import number
 from ppshw.recording_file import RecordingFile, is_sqlite
 
 Array = NDArray[np.float64]
@@ -73,10 +74,12 @@ class Recording:
     approach     (N, n)    −1, 0, 1: direction of each joint's last motion; without columns by the order of the visits
     settle_s     (N,)      time between end of motion and measurement, nan where unknown
     wrench       (N, 6)    payload on the sensor, sensor frame; 0 without columns   [N, N·m]
-    points       (N, T, 3) measured targets in the measuring frame, nan where lost  [m]
+    points       (N, T, 3) measured targets in the measuring frame, nan where lost and in copies  [m]
     extra_points name → (N, 3) measured reflectors at points of interest (tip.points)   [m]
     temperatures place → (N,)  [°C];  covariates name → (N,)
     sha256       of the canonical CSV text, the same for both forms
+    copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
+                 instrument repeats itself so, and a row that stands there twice is one reading
     """
 
     joint_names: tuple[str, ...]
@@ -96,6 +99,7 @@ class Recording:
     has_wrench: bool
     source: str
     sha256: str
+    copies: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.q)
@@ -122,6 +126,7 @@ class Recording:
             extra_points={k: v[rows] for k, v in self.extra_points.items()},
             temperatures={k: v[rows] for k, v in self.temperatures.items()},
             covariates={k: v[rows] for k, v in self.covariates.items()},
+            copies=tuple(np.flatnonzero(np.isin(rows, self.copies)).tolist()),
         )
 
 
@@ -195,7 +200,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     if not any(f"{t}_x" in cells for t in machine.targets):
         first = next(iter(machine.targets))
         raise RecordingError(f"{table.source}: no column for any target of the machine, expected e.g. {first}_x")
-    extra_points = {p: cells.point(p) for p in machine.points if f"{p}_x" in cells}
+    extra_points = {p: cells.point(p) for p in machine.points if any(f"{p}_{axis}" in cells for axis in "xyz")}
     if not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
         names = ", ".join(machine.targets)
         raise RecordingError(f"{table.source}: not one target was measured: every cell of {names} is empty")
@@ -211,6 +216,8 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     for k, j in enumerate(joints):
         if f"approach_{j}" in cells:
             approach[:, k] = cells.approach(f"approach_{j}")
+    copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
+    points[copies] = math.nan
     unknown = np.full(len(table.rows), math.nan)
     return Recording(
         joint_names=joints,
@@ -231,7 +238,16 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         has_wrench=has_wrench,
         source=table.source,
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
+        copies=tuple(copies.tolist()),
     )  # fmt: skip
+
+
+def _copies(rows: Array, points: Array) -> NDArray[np.int64]:
+    """Which rows are an earlier one once more, of those with a reading in `points`."""
+    first = np.unique(np.where(np.isnan(rows), np.inf, rows), axis=0, return_index=True)[1]
+    again = np.ones(len(rows), dtype=bool)
+    again[first] = False
+    return np.flatnonzero(again & np.asarray(np.isfinite(points).all(axis=2)).any(axis=1))
 
 
 def listed(visits: Iterable[int]) -> str:
@@ -302,7 +318,7 @@ class _Cells:
             if not text and fallback is not None:
                 out[row] = fallback[row]
                 continue
-            out[row] = self._convert(row, name, text, _number, "a number")
+            out[row] = self._convert(row, name, text, number, "a number")
             if not abs(out[row]) <= largest:
                 may_be_empty = "" if fallback is None else ", or an empty cell where there is none"
                 self.fail(row, name, f"'{text}' is no finite number below {largest:g}{unit}{may_be_empty}")
@@ -353,12 +369,6 @@ class _Cells:
         except (ValueError, OverflowError):
             shown = text if len(text) <= 40 else text[:37] + "..."
             self.fail(row, name, f"{shown!r} is not {wanted}" if text else f"empty, expected {wanted}")
-
-
-def _number(text: str) -> float:
-    if "_" in text:  # Python reads 1_000 as a number
-        raise ValueError
-    return float(text)
 
 
 def _seconds(text: str) -> float:

@@ -68,7 +68,8 @@ def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> T
 
 
 def twin_table(table: Table, recording: Recording, twin: Twin) -> Table:
-    """The recording's own table with the twin's readings (to a nanometre) in place of the measured ones."""
+    """The recording's own table with the twin's readings (to a nanometre) in place of the measured ones, none in rows
+    that stand there twice."""
     header = [name.strip() for name in table.header]
     rows = [list(row) for row in table.rows]
     readings = dict(zip(recording.target_names, np.moveaxis(twin.points, 1, 0), strict=True)) | twin.extra_points
@@ -77,8 +78,7 @@ def twin_table(table: Table, recording: Recording, twin: Twin) -> Table:
             if (column := f"{name}_{'xyz'[axis]}") in header:
                 at = header.index(column)
                 for row, value in zip(rows, values[:, axis], strict=True):
-                    if np.isfinite(value):
-                        row[at] = f"{value:.9f}"
+                    row[at] = f"{value:.9f}" if np.isfinite(value) else ""
     return replace(table, rows=tuple(map(tuple, rows)))
 
 

@@ -47,7 +47,7 @@ def doubts_about(machine: Any, recording: Any, left: Callable[[Any], Any] | None
     from ppshw.identification.plausible import doubts
 
     of_moments = [] if left is None else doubts_of_moments(recording, lambda r: by_visit(left(r)))
-    return doubts(recording) + doubts_of_gravity(machine, recording) + of_moments
+    return doubts(machine, recording) + doubts_of_gravity(machine, recording) + of_moments
 
 
 def as_they_stand(mistakes: Sequence[Any]) -> list[str]:

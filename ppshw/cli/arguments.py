@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ppshw.errors import BadInput
+from ppshw.quantities import number
 
 LARGEST = 1e9  # that a number may be, in whatever unit
 
@@ -32,7 +33,7 @@ def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.d
     """`count` numbers, given as one word or several, with spaces, commas or brackets around them."""
     text = " ".join(words).strip()
     try:
-        values = np.array([float(w) for w in text.translate(_BETWEEN_NUMBERS).split()])
+        values = np.array([number(w) for w in text.translate(_BETWEEN_NUMBERS).split()])
     except ValueError:
         raise BadInput(f"{what}: '{text}' holds something that is no number, expected {count} numbers") from None
     if len(values) != count:

@@ -38,7 +38,6 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
     from ppshw.identification.own_weight import NOT_HUNG
-    from ppshw.identification.plausible import without_copies
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
@@ -46,7 +45,6 @@ def identify(a: argparse.Namespace) -> None:
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
     warnings = doubts_about(machine, recording)
-    recording = without_copies(recording)
     if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
         warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
     with columns_named(machine, recording):
@@ -66,7 +64,7 @@ def identify(a: argparse.Namespace) -> None:
     warnings += as_they_stand(looked(machine, believed)[1])
     calibration.save(out)
     warn(a.rec, warnings)
-    set_aside = np.flatnonzero((estimate.weights <= 0.5) & recording.seen.any(axis=1))
+    set_aside = np.setdiff1d(np.flatnonzero(recording.seen.any(axis=1)), believable(estimate.weights))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
         "visits": visits,
@@ -107,17 +105,16 @@ def evaluate(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import evaluate as run
     from ppshw.evaluation import residuals
-    from ppshw.identification.plausible import refuse_another_machine, without_copies
+    from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
-    given = load_recording(a.rec, machine)
-    recording = without_copies(given)
+    recording = load_recording(a.rec, machine)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
     left = None if calibration is None else lambda r: residuals(r, calibration, a.refit_base)
-    warnings = doubts_about(machine, given, left) + as_they_stand(plain_mistakes(machine, recording)[1])
+    warnings = doubts_about(machine, recording, left) + as_they_stand(plain_mistakes(machine, recording)[1])
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}

@@ -80,7 +80,6 @@ def _designed(
     from campaigns.design.ask import answer as design
     from campaigns.script import load_script
     from ppshw.calibration import load_calibration
-    from ppshw.identification.plausible import without_copies
     from ppshw.recording import load_recording
 
     if a.visits is None and a.accuracy is None and a.after is None:
@@ -97,7 +96,7 @@ def _designed(
                      for key, v in asked.items() if key not in ("--out", "--seed"))  # fmt: skip
     question = Question(
         machine, a.visits, a.accuracy,
-        None if a.after is None else without_copies(load_recording(a.after, machine)),
+        None if a.after is None else load_recording(a.after, machine),
         None if a.calibration is None else load_calibration(a.calibration, machine),
         None if a.loads is None else load_script(a.loads),
         a.load_cases, a.point, seed, out.stem, f"ppshw plan {words} --seed {seed}",
@@ -113,7 +112,6 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     from campaigns.design.separate import Wanted, separate
     from campaigns.plan import plan_campaign
     from campaigns.script import load_script
-    from ppshw.identification.plausible import without_copies
     from ppshw.recording import load_recording
 
     effects = tuple(a.to_separate.split(","))
@@ -132,7 +130,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     so_far: Any = (
         plan_campaign(load_script(a.campaign), machine)
         if a.after is None
-        else without_copies(load_recording(a.after, machine))
+        else load_recording(a.after, machine)
     )
     seed = _SEED if a.seed is None else a.seed
     words = f"ppshw plan --to-separate {a.to_separate}" + (f" --joint {a.joint}" if a.joint else "")

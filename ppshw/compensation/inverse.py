@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
-from ppshw.kinematics import frames, freedoms, joint_jacobian, tip_poses
+from ppshw.kinematics import frames, freedoms, joint_jacobian, tip_poses, travel
 from ppshw.machine import Machine
 from ppshw.quantities import angle, distance, rounded
 from ppshw.terms import Situation
@@ -26,6 +26,7 @@ POSITION_FIRST = 1e-4  # m/rad
 REACHED, REACHED_IF_ROUNDED = 1e-6, 1e-4  # m, rad
 # A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
 AT_NEAREST = 1e-7
+AT_LIMIT = 1e-9  # m, rad
 # (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
 EffectErrors = Callable[[Array, Array, Array], Array]
 
@@ -107,22 +108,24 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
     Newton's method from many starts spread over the travel. Raises CompensationRefused when none reaches the pose.
     """
     lower, upper = machine.limits()
-    low, high = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    low, high = travel(machine)
     centre = (low + high) / 2 if near is None else np.asarray(near, dtype=float)
     starts = np.random.default_rng(0).uniform(low, high, (200, machine.n))
     starts[0] = centre
     q, left = solve_pose(machine, np.broadcast_to(wanted_tip, (len(starts), 4, 4)), starts)
     for k, joint in enumerate(machine.joints):
-        if not joint.prismatic:  # whole turns: the one nearest to the middle of the travel
-            middle = (lower[k] + upper[k]) / 2 if np.isfinite(lower[k] + upper[k]) else 0.0
-            q[:, k] = middle + (q[:, k] - middle + np.pi) % (2 * np.pi) - np.pi
+        if not joint.prismatic:  # of whole turns the nearest, or the next that the limits allow
+            turned = centre[k] + (q[:, k] - centre[k] + np.pi) % (2 * np.pi) - np.pi
+            turned -= 2 * np.pi * np.ceil(np.maximum(turned - upper[k] - AT_LIMIT, 0.0) / (2 * np.pi))
+            turned += 2 * np.pi * np.ceil(np.maximum(lower[k] - AT_LIMIT - turned, 0.0) / (2 * np.pi))
+            q[:, k] = turned
     reached = (np.abs(left) < (REACHED_IF_ROUNDED if freedoms(machine) < 6 else REACHED)).all(axis=1)
     if not reached.any():
         nearest = amount(left[np.argmin(np.linalg.norm(left, axis=1))])
         raise CompensationRefused(
             f"the pose cannot be reached by '{machine.name}': the nearest joint values miss it by {nearest}"
         )
-    inside = reached & ((q >= lower - 1e-9) & (q <= upper + 1e-9)).all(axis=1)
+    inside = reached & ((q >= lower - AT_LIMIT) & (q <= upper + AT_LIMIT)).all(axis=1)
     if not inside.any():
         k, over = _worst_limit(machine, q[reached])
         joint = machine.joints[k]

@@ -34,7 +34,7 @@ from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import RecordingError
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.own_weight import links_hang
-from ppshw.identification.plausible import without_copies
+from ppshw.identification.plausible import misread
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -72,6 +72,8 @@ def diagnose(
     Raises RecordingError when the recording is too short to tell.
     """
     recording, rows = _of_use(recording)
+    wrong_loads = misread(machine, recording)
+    recording, odd, rows = recording.subset(~wrong_loads), rows[wrong_loads], rows[~wrong_loads]
     recording, mistakes = column_mistakes(machine, recording)
     tell = progress or (lambda done, total: None)
     tell(0, 10)
@@ -103,8 +105,9 @@ def diagnose(
     # what acts through compliances is of its right size beside free ones, and predicts best beside those expected
     free = space.as_learnt(but_elastic=True) if any(f.name[0] in LOADS for f in found) else None
     space = space.as_learnt()
-    wrong = [m.finding() for m in mistakes] + gross.findings(rows)
+    wrong = [m.finding() for m in mistakes] + gross.findings(rows, odd)
     answer, carried = _answer(space, free or space, tried, found, gross, scatter, unnamed, wrong)
+    answer["visits"] += len(odd)
     answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)
     tell(10, 10)
@@ -112,8 +115,7 @@ def diagnose(
 
 
 def _of_use(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
-    """The visits that saw a target, each once, and which rows of them these are."""
-    recording = without_copies(recording)
+    """The visits that saw a target, and which rows these are."""
     rows = np.flatnonzero(recording.seen.any(axis=1))
     recording = recording.subset(rows)
     if len(recording) < LEAST_VISITS:
@@ -150,7 +152,8 @@ def _learnt_without(
 ) -> Workspace:
     """The base model once more, learnt from the recording as it would be without what was found."""
     believed = gross.others(len(space.recording))
-    base = estimate(joint_model(machine, space.recording), _without(space, tried, found).subset(believed))
+    believable = _without(space, tried, found).subset(believed)
+    base = estimate(joint_model(machine, believable), believable)
     base = _as_believed(space, base, believed)
     return prepare(machine, space.recording, believed, base, calming, gross.at_a_place)
 

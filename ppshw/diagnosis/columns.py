@@ -210,11 +210,11 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
                 points = recording.points.copy()
                 points[:, t, a] *= factor
                 yield _tried(machine, replace(recording, points=points), f"{name}_{axis}", factor, what, before)
-    for column, points in _exchanged(machine, recording):
+    for column, points in _exchanged(recording):
         yield _tried(machine, replace(recording, points=points), column, None, "is exchanged", before)
 
 
-def _exchanged(machine: Machine, recording: Recording) -> Iterator[tuple[str, Array]]:
+def _exchanged(recording: Recording) -> Iterator[tuple[str, Array]]:
     """Two reflectors, or two coordinates of one or of all of them, exchanged throughout: which, and the readings as
     they should have been."""
     for one, other in itertools.combinations(range(len(recording.target_names)), 2):

@@ -57,22 +57,25 @@ class GrossErrors:
         """(count,) which visits are not simply wrong."""
         return ~np.isin(np.arange(count), self.visits)
 
-    def findings(self, rows: NDArray[np.int64]) -> list[dict[str, Any]]:
-        """rows: which visits of the recording those that were looked at are."""
-        if not self.visits:
+    def findings(self, rows: NDArray[np.int64], misread: NDArray[np.int64]) -> list[dict[str, Any]]:
+        """rows: which visits of the recording those that were looked at are; misread: visits of the recording whose
+        wrench is not that of their load, and which were not looked at."""
+        visits = sorted([*rows[list(self.visits)].tolist(), *misread.tolist()])
+        if not visits:
             return []
-        visits = rows[list(self.visits)].tolist()
         many = f"{len(visits)} visits are" if len(visits) > 1 else "one visit is"
         sentence = f"{many} simply wrong and set aside: {listed(visits)}."
         for visit, names in itertools.islice(self.swapped.items(), 3):
             sentence += f" In visit {rows[visit] + 1} {' and '.join(names)} are swapped."
+        if len(misread):
+            sentence += f" The force sensor's reading is not that of the load: {listed(misread)}."
         return [
             {
                 "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
                 "region": [visits[0] + 1, visits[-1] + 1], "visits": [v + 1 for v in visits],
                 "parameters": {"visits": {"value": len(visits), "std": 0, "unit": "1"}},
-                "p_value": self.p, "rms_mm": self.size, "weight": 1.0, "alternatives": [], "aliases": [],
-                "sentence": sentence,
+                "p_value": self.p if self.visits else 0.0, "rms_mm": self.size, "weight": 1.0, "alternatives": [],
+                "aliases": [], "sentence": sentence,
             }
         ]  # fmt: skip
 

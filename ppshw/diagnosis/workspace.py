@@ -225,7 +225,7 @@ def prepare(
 
     sure  visits that are believed in full however far off they are
     """
-    base = base or estimate(joint_model(machine, recording), recording.subset(fit))
+    base = base or estimate(joint_model(machine, recording.subset(fit)), recording.subset(fit))
     model, situation = base.model, Situation.of(recording)
     count = len(recording)
     lin = model.linearise(situation, base.theta)

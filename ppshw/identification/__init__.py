@@ -30,9 +30,10 @@ def identify(
         if method == "paper":
             found: Estimate = identify_paper(machine, kept)
         else:
-            found = estimate(joint_model(machine, kept), kept, progress=progress)
+            sound = kept.subset(~gross & kept.seen.any(axis=1))  # a damaged encoder cell is no travel
+            found = estimate(joint_model(machine, sound), kept, progress=progress)
             if not links_hang(found, kept):
-                found = estimate(joint_model(replace(machine, hangs=False), kept), kept, progress=progress)
+                found = estimate(joint_model(replace(machine, hangs=False), sound), kept, progress=progress)
     except np.linalg.LinAlgError as exc:
         raise IdentificationFailed(f"{recording.source}: does not determine the model ({exc})") from None
     weights = np.where(gross, np.minimum(found.weights, GROSS_WEIGHT), found.weights)

@@ -60,17 +60,20 @@ class Ambiguity:
     like   the others with their shares, per unit of the parameter, greatest effect first; empty: nothing shows it
     share  standard deviation after the recording over that before it, all others being free
     visit  that would separate them; None: no visit does, and no prediction needs it
+    ground the base's name among the frames
     """
 
     parameter: str
     like: tuple[tuple[str, float], ...]
     share: float
     visit: Visit | None
+    ground: str = "base"
 
     @property
     def sentence(self) -> str:
-        what = _spoken(self.parameter)
-        spoken = list(dict.fromkeys(_spoken(name) for name, _ in self.like))  # of a function's waves all sound alike
+        what = _spoken(self.parameter, self.ground)
+        # of a function's waves all sound alike
+        spoken = list(dict.fromkeys(_spoken(name, self.ground) for name, _ in self.like))
         others = ["other parts of itself" if words == what else words for words in spoken[:3]]
         if len(spoken) > 3:
             others.append(f"{len(spoken) - 3} more")
@@ -118,7 +121,8 @@ def ambiguities(estimate: Estimate, recording: Recording) -> list[Ambiguity]:
                 if abs(shares[j]) > least]  # fmt: skip
         best = _simplest(gain)
         visit = None if best is None else Visit(visits.q[best], visits.payload[best], words[best], float(gain[best]))
-        out.append(Ambiguity(names[parameter], tuple(like), float(np.sqrt(1.0 / (1.0 + max(beyond, 0.0)))), visit))
+        share = float(np.sqrt(1.0 / (1.0 + max(beyond, 0.0))))
+        out.append(Ambiguity(names[parameter], tuple(like), share, visit, model.machine.frame_names[0]))
     return sorted(out, key=lambda a: -(a.visit.gain if a.visit else 0.0))
 
 
@@ -242,7 +246,7 @@ def _short(value: float) -> str:
 NAME = re.compile(r"(?P<frame>.+)\.(?:(?P<component>[tr][xyz])|C\[(?P<a>\w+),(?P<b>\w+)\])\[(?P<index>\d+)\]")
 
 
-def _spoken(name: str) -> str:
+def _spoken(name: str, ground: str) -> str:
     """`vertical.ty[0]` → ty of frame vertical."""
     if name.startswith("target."):
         _, target, axis = name.split(".")
@@ -253,7 +257,7 @@ def _spoken(name: str) -> str:
     what = match["component"] or f"{match['a']} per {match['b']}"
     which = int(match["index"])
     change = "" if which == 0 else "the slope of " if match["component"] else "how its position changes "
-    frame = "the base" if match["frame"] == "base" else f"frame {match['frame']}"
+    frame = "the base" if match["frame"] == ground else f"frame {match['frame']}"
     return f"{change}{what} of {frame}"
 
 

@@ -46,6 +46,8 @@ STILL, SAME_NOISE = 0.2, 1.0
 STRENGTH_STEPS = 4
 # Visits that hold to noise this well are believed in full.
 BELIEVED = 0.999
+# Visits that are believed less than this are set aside.
+SET_ASIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ def lines(model: Model) -> Mask:
 
 def believable(weights: Array) -> Index:
     """Visits that an estimate did not set aside: weights (N,), 0 … 1 → their indices (K,), rising."""
-    return np.flatnonzero(weights > 0.5)
+    return np.flatnonzero(weights > SET_ASIDE)
 
 
 def _answer(task: _Task, state: _State, posterior: Posterior, kept: Mask, used: Mask) -> Estimate:

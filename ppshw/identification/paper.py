@@ -26,7 +26,7 @@ from ppshw.identification.paper_steps import (
 )
 from ppshw.identification.pose_error import PoseErrors, pose_errors
 from ppshw.identification.redundancy import Evidence, independent_columns, solver
-from ppshw.identification.sweeps import SAME_POSITION, Sweeps, find_sweeps
+from ppshw.identification.sweeps import Sweeps, find_sweeps
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -61,23 +61,20 @@ class PaperEstimate(Estimate):
     left_after: float
 
 
-def identify_paper(
-    machine: Machine, recording: Recording, by_noise: bool = True, same_position: float = SAME_POSITION
-) -> PaperEstimate:
+def identify_paper(machine: Machine, recording: Recording, by_noise: bool = True) -> PaperEstimate:
     """Identify model (17) from a campaign of the paper's form.
 
     Visits without a full pose are left out (weight 0). The covariance is that of one visit's pose error, the same for
     every visit in base axes, carried through all steps; it leaves out what straight lines between sampled positions
     miss, and that redundant parameters were chosen by looking at the data.
 
-    by_noise       parameters that are not above noise are redundant too; False: only those that others can replace
-    same_position  setpoints closer than this are one position   [m, rad]
+    by_noise  parameters that are not above noise are redundant too; False: only those that others can replace
 
     Raises IdentificationFailed, saying what the recording lacks.
     """
     pose = pose_errors(machine, recording)
     visits = recording.subset(pose.used)
-    sweeps = find_sweeps(machine, visits, same_position)
+    sweeps = find_sweeps(machine, visits)
     terms = paper_terms(machine, sweeps)
     first_scatter = _scatter_of_repeats(pose, sweeps)
     whiten = np.linalg.inv(np.linalg.cholesky(first_scatter))

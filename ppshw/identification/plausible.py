@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
-from ppshw.kinematics import point_positions
+from ppshw.kinematics import frames, point_positions
 from ppshw.machine import Machine
 from ppshw.quantities import distance
 from ppshw.recording import Recording, listed
+from ppshw.terms.history import payloads
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -24,12 +25,17 @@ Array = NDArray[np.float64]
 # units; a reading off by 20 times the median and more than 50 mm is no error of a machine. Both are our judgement.
 ANOTHER_MACHINE, ANOTHER_MACHINE_M = 0.1, 0.1
 GROSS, GROSS_M = 20.0, 0.05
+# A wrench off by 20 times the median of its load label, and more than a sensor with nothing on it reads, is misread:
+# single rows of many, or the label is of several loads.
+GROSS_N, GROSS_NM = 20.0, 5.0
+SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 ROUNDS = 20
 BLOCK = 4096
 
 
 def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Recording, NDArray[np.bool_]]:
-    """The recording with gross readings taken for lost, and (N,) which visits had one.
+    """The recording with gross readings, and all of a visit with a misread wrench, taken for lost, and (N,) which
+    visits had one.
 
     Raises RecordingError when not single readings but most of them are far from where the ideal machine has them.
     """
@@ -49,24 +55,60 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
             "should have them; is it this machine, are they in metres, and in the measuring frame of the machine file"
             f"{or_open}?"
         )
-    return kept, np.asarray(gross.any(axis=1))
+    gross |= misread(machine, recording)[:, None] & recording.seen
+    return replace(kept, points=np.where(gross[..., None], np.nan, recording.points)), np.asarray(gross.any(axis=1))
 
 
-def without_copies(recording: Recording) -> Recording:
-    """The recording with what reads the same as an earlier visit to the last digit, joints and targets and load, taken
-    for lost: no instrument repeats itself so, and a row that stands there twice is one reading."""
-    if not (copies := _copies(recording)).any():
-        return recording
-    return replace(recording, points=np.where(copies[:, None, None], np.nan, recording.points))
+def misread(machine: Machine, recording: Recording) -> NDArray[np.bool_]:
+    """(N,) at which visits the wrench is not what the other visits of the load label read, if it hangs there rigidly.
+
+    Before any fit, because such a row draws the compliances to itself and is fitted well.
+    """
+    out = np.zeros(len(recording), dtype=bool)
+    if not recording.has_wrench:
+        return out
+    sensor = frames(machine, recording.q)[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
+    gravity = np.einsum("nji,j->ni", sensor, machine.gravity)
+    labels = np.array(recording.load)
+    for label in set(recording.load) - {""}:
+        mine = np.flatnonzero(labels == label)
+        if len(mine) < OF_A_LABEL:
+            continue
+        wrong = _unlike_the_others(recording.wrench[mine], gravity[mine])
+        if wrong.sum() <= max(1, SINGLE * len(mine)):
+            out[mine] = wrong
+    return out
 
 
-def doubts(recording: Recording) -> list[str]:
+def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
+    """(K,) which wrenches (K, 6) are far from those of the rigid payload that the others say."""
+    wrong = np.zeros(len(wrench), dtype=bool)
+    for _ in range(ROUNDS):
+        held = payloads(wrench[~wrong], ("",) * int((~wrong).sum()), gravity[~wrong])[0]
+        before, wrong = wrong, np.zeros(len(wrench), dtype=bool)
+        for rest, least in (
+            (wrench[:, :3] - held[0] * gravity, GROSS_N), (wrench[:, 3:] - np.cross(held[1:], gravity), GROSS_NM)
+        ):
+            size = np.linalg.norm(rest, axis=1)
+            wrong |= size > max(least, GROSS * float(np.median(size)))
+        if (wrong == before).all() or wrong.mean() > SINGLE + 1 / len(wrench):
+            break
+    return wrong
+
+
+def doubts(machine: Machine, recording: Recording) -> list[str]:
     """What is odd about a recording that can be used even so, each in a line."""
     said = []
-    if len(copies := np.flatnonzero(_copies(recording))):
+    if recording.copies:
         said.append(
-            f"{len(copies)} visits read the same as an earlier one to the last digit ({listed(copies)}): are these "
-            "rows copies?"
+            f"{len(recording.copies)} visits read the same as an earlier one to the last digit "
+            f"({listed(recording.copies)}): are these rows copies?"
+        )
+    if len(rows := np.flatnonzero(misread(machine, recording))):
+        loads = ", ".join(dict.fromkeys(f"'{recording.load[k]}'" for k in rows))
+        said.append(
+            f"the wrench read at {len(rows)} visit{'s' * (len(rows) > 1)} ({listed(rows)}) is not that of the load "
+            f"{loads} at its other visits"
         )
     if loads := loads_not_measured(recording):
         same = "the columns Fx … Mz read the same at every visit"
@@ -97,17 +139,6 @@ def far_off(errors: Array) -> NDArray[np.bool_]:
 def _gross(size: Array, median: float) -> NDArray[np.bool_]:
     """Whether readings are so far off [m] beside the middle one that no machine errs like that."""
     return np.asarray(size > max(GROSS_M, GROSS * median))
-
-
-def _copies(recording: Recording) -> NDArray[np.bool_]:
-    """(N,) which visits are an earlier one once more."""
-    points = recording.points.reshape(len(recording), -1)
-    rows = np.concatenate([recording.q, recording.q_cmd, recording.wrench, points], axis=1)
-    rows = np.where(np.isnan(rows), np.inf, rows)
-    first = np.unique(rows, axis=0, return_index=True)[1]
-    again = np.ones(len(recording), dtype=bool)
-    again[first] = False
-    return again & recording.seen.any(axis=1)
 
 
 def refuse_another_machine(machine: Machine, recording: Recording) -> None:

@@ -32,7 +32,7 @@ class Evidence:
 
 
 def independent_columns(
-    designs: Sequence[Array], evidence: Evidence | None, first: Sequence[int] = (), share: float = SHARE
+    designs: Sequence[Array], evidence: Evidence | None, first: Sequence[int] = ()
 ) -> list[int]:
     """Columns to keep, in the order of a pivoted orthogonalisation; one choice for all places.
 
@@ -54,14 +54,14 @@ def independent_columns(
     coming = list(first)
     while len(kept) < len(whole):
         size = np.array([np.linalg.norm(d, axis=0) for d in left])
-        alive = (size > share * length) & (length > 1e-12 * whole.max())
+        alive = (size > SHARE * length) & (length > 1e-12 * whole.max())
         alive[:, kept] = False
         if coming:
             best = coming.pop(0)
         elif evidence is None or rest is None:
             worth = np.linalg.norm(np.where(alive, size, 0.0), axis=0) / np.where(whole > 0, whole, 1.0)
             best = int(np.argmax(worth))
-            if worth[best] <= share:
+            if worth[best] <= SHARE:
                 break
         else:
             along = np.array([y @ d for y, d in zip(rest, left, strict=True)])
@@ -79,7 +79,7 @@ def independent_columns(
     return kept
 
 
-def solver(design: Array, kept: Sequence[int], share: float = SHARE) -> Array:
+def solver(design: Array, kept: Sequence[int]) -> Array:
     """(p, rows) operator of the least-squares solution in the kept columns, zero in all others.
 
     Where kept columns depend on each other at this very place, the smallest solution in scaled columns is taken.
@@ -89,5 +89,5 @@ def solver(design: Array, kept: Sequence[int], share: float = SHARE) -> Array:
         chosen = design[:, list(kept)]
         size = np.linalg.norm(chosen, axis=0)
         size[size == 0.0] = 1.0
-        out[list(kept)] = np.linalg.pinv(chosen / size, rcond=share**2) / size[:, None]
+        out[list(kept)] = np.linalg.pinv(chosen / size, rcond=SHARE**2) / size[:, None]
     return out

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 BLOCK = 4096
 
 
-def align(machine: Machine, recording: Recording, targets_free: bool, q: Array | None = None) -> tuple[Array, Array]:
+def align(machine: Machine, recording: Recording, targets_free: bool) -> tuple[Array, Array]:
     """The measuring frame in the base and the targets on the end effector that fit the ideal machine best.
 
     Alternates two closed forms: the frame by Kabsch's fit over all visits and targets, the targets as the mean of what
@@ -23,7 +23,7 @@ def align(machine: Machine, recording: Recording, targets_free: bool, q: Array |
 
     returns  (4, 4) measuring frame in the base frame, (T, 3) targets in the end-effector frame [m]
     """
-    q = recording.q if q is None else q
+    q = recording.q
     tips = np.concatenate([tip_poses(machine, q[at : at + BLOCK]) for at in range(0, len(q), BLOCK)])
     seen = recording.seen
     if seen.sum() < 3:

@@ -34,8 +34,8 @@ def joint_model(machine: Machine, recording: Recording, waves: int = MOST_WAVES)
     straight lines and gets none of it.
     """
     terms: list[FrameTerm] = [Geometric(0, Constant())]
-    for k, joint in enumerate(machine.joints):
-        terms.append(Geometric(k + 1, smooth_basis(joint, recording.q[:, k], waves)))
+    for k in range(machine.n):
+        terms.append(Geometric(k + 1, smooth_basis(recording.q[:, k], waves)))
     for k, joint in enumerate(machine.joints):
         own = own_motion(joint, k + 1, recording.q[:, k], waves)
         if own is not None:
@@ -56,7 +56,7 @@ def distinct_positions(q: Array) -> int:
     return 1 if span == 0 else len(np.unique(np.round((q - q.min()) / span * 100)))
 
 
-def smooth_basis(joint: Joint, q: Array, waves: int) -> Basis:
+def smooth_basis(q: Array, waves: int) -> Basis:
     """Over the travel that was sampled; never more freedom than distinct positions."""
     distinct = distinct_positions(q)
     if distinct < 2:

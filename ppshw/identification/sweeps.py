@@ -58,13 +58,13 @@ class Sweeps:
         return tuple(sorted([float(self.home[joint]), *found]))
 
 
-def find_sweeps(machine: Machine, recording: Recording, same_position: float = SAME_POSITION) -> Sweeps:
+def find_sweeps(machine: Machine, recording: Recording) -> Sweeps:
     """Home is where most visits have each joint.
 
     Raises IdentificationFailed, saying what is missing: a visit at home, a sweep of a joint that moves, weight pairs.
     """
     q = recording.q_cmd
-    labels = np.column_stack([_clusters(q[:, k], same_position) for k in range(q.shape[1])])
+    labels = np.column_stack([_clusters(q[:, k], SAME_POSITION) for k in range(q.shape[1])])
     away = labels != [_most_common(labels[:, k], q[:, k]) for k in range(q.shape[1])]
     if away.any(axis=1).all():
         raise IdentificationFailed(f"{recording.source}: no visit with all joints at home together; {ADVICE}")

@@ -146,7 +146,7 @@ def run_prove(
     scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
     write_text(out / "prove.json", json.dumps(document, indent=1))
-    write_page(out, document, scores)
+    write_page(out, document, [s for s in scores if not s["spec"]["without"]])
     return document
 
 

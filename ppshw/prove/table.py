@@ -196,7 +196,7 @@ def percent(found: Json) -> str:
 
 
 def _by_effect(scores: Sequence[Json]) -> list[Json]:
-    """One row per effect and size, in the order of the first appearance of effects by name."""
+    """One row per effect and size, by name."""
     rows = []
     keys = sorted({(s["truth"][0]["effect"], s["size"]) for s in scores if len(s["truth"]) == 1})
     for effect, size in keys:

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.errors import ReportError
 from ppshw.machine import Machine, load_machine
@@ -238,5 +240,5 @@ def _point(machine: Machine, recordings: dict[str, Recording]) -> str:
 
 
 def _measured(recording: Recording) -> Iterator[str]:
-    yield from recording.extra_points
-    yield from recording.target_names
+    yield from (name for name, readings in recording.extra_points.items() if np.isfinite(readings).any())
+    yield from (name for name, seen in zip(recording.target_names, recording.seen.T, strict=True) if seen.any())

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.evaluation import by_visit, figures, residuals
+from ppshw.identification.joint import BELIEVED, SET_ASIDE
 from ppshw.recording import Recording
 from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
@@ -28,8 +29,6 @@ CASES = {
 FIGURES = ("median_mm", "p95_mm", "p98_6_mm", "max_mm")
 # A run prints what it computed from the same recordings: a difference beyond rounding is worth a sentence.
 ROUNDING_MM = 6e-4
-# Visits whose squared distance exceeds this quantile of χ² are marked; the estimate's own bound.
-BELIEVED = 0.999
 CHUNK = 400  # visits linearised at once: some 30 MB of design
 
 
@@ -178,7 +177,7 @@ class Fit:
 
 
 def fit(recording: Recording, calibration: Calibration) -> Fit:
-    """The residuals of the N visits of the identification recording, and which of them the estimate would not believe.
+    """The residuals of the N visits of the identification recording, and which of them the estimate sets aside.
 
     recording  of the calibration's machine; visits that it was not made from are judged the same
     """
@@ -190,7 +189,7 @@ def fit(recording: Recording, calibration: Calibration) -> Fit:
 
 
 def _outliers(recording: Recording, calibration: Calibration, errors: Array) -> NDArray[np.bool_]:
-    """r' (Σ + D C D')⁻¹ r > χ²: the estimate's own rule, with noise Σ and the model's uncertainty D C D'."""
+    """½ r' (Σ + D C D')⁻¹ r > χ²: where the estimate sets aside, with noise Σ and the model's uncertainty D C D'."""
     out = np.zeros(len(recording), dtype=bool)
     for start in range(0, len(recording), CHUNK):
         rows = np.arange(start, min(start + CHUNK, len(recording)))
@@ -205,5 +204,5 @@ def _outliers(recording: Recording, calibration: Calibration, errors: Array) -> 
         residual = np.where(mask, errors[rows].reshape(count, width), 0.0)
         distance = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
         freedom = np.maximum(mask.sum(axis=1), 1)
-        out[rows] = distance > chi2.ppf(BELIEVED, freedom)
+        out[rows] = SET_ASIDE * distance >= chi2.ppf(BELIEVED, freedom)
     return out

@@ -55,7 +55,9 @@ def render(contents: Contents, now: datetime) -> str:
     """
     numbers = compute(contents)
     campaign, calibration = contents.recordings.get("campaign"), contents.calibration
-    left = fit(campaign, calibration) if campaign is not None and calibration is not None else None
+    left = None
+    if campaign is not None and calibration is not None and campaign.seen.any():
+        left = fit(campaign, calibration)
     environment = Environment(
         loader=PackageLoader("ppshw.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,

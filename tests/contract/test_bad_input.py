@@ -203,6 +203,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),
     "a zero byte": (cell(9, "load", "\0"), ":9: a zero byte, expected text"),
     "only a header": (lambda p: put(p.read_text().split("\n")[0] + "\n")(p), "a header but no visit"),
+    "a point's column missing": (swap("P3_x,P3_y,P3_z", "treatment_y,treatment_z,cov_x"), "treatment_x is missing"),
     "all targets lost": (column("P", ""), "not one target was measured: every cell of P1, P2, P3 is empty"),
     "another machine's": (swap("_turn", "_yaw", 99), "is this a recording of machine 'cell'?"),
     **FILES,
@@ -345,6 +346,9 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     used = json.loads(said.out)
     assert (used["visits"], used["readings"]) == (judged["visits"], judged["readings"]) == (len(rows), 3 * len(rows))
     assert f"{len(rows)} visits read the same as an earlier one to the last digit (2, 4, 6" in said.err
+    twin = ppshw("twin", *common, "--calibration", desk / "new.json", "--out", desk / "twin.csv", "--json")
+    assert json.loads(twin.out)["readings"] == 3 * len(rows)
+    assert all(check["p"] > 0.02 for check in json.loads(twin.out)["checks"])
     wrench = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
     times(0.0, *wrench)(desk / "good.csv")
     said = ppshw("evaluate", *common, "--json")
@@ -634,6 +638,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "no machine": ("plan little.yaml", "arguments are required: --machine"),
     "a campaign that is neither file nor name": ("plan waltz --machine machine.yaml", "waltz"),
     "a pose of five": ("compensate CAL --pose 1 2 3 4 5", "--pose: '1 2 3 4 5' holds 5 values, expected 6 finite numbers"),
+    "a joint value with an underscore": ("compensate CAL --joints 0_1 0.2", "--joints: '0_1 0.2' holds something that is no number"),
     "a pose in words": ("compensate CAL --pose here", "--pose: 'here' holds something that is no number, expected 6"),
     "a nan in a pose": ("compensate CAL --pose 0 0 0 0 0 nan", "--pose: value 6 of 6, nan, is no finite number below 1e+09"),
     "a wrench of two": ("compensate CAL --joints 0 0 --wrench 1 2", "--wrench: '1 2' holds 2 values, expected 6"),

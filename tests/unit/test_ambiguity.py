@@ -88,6 +88,11 @@ def test_its_sentence_says_nothing_twice_and_loads_without_powers_of_ten() -> No
         "a load of 2010 N with moment about z (-1730 N·m)")  # fmt: skip
 
 
+def test_a_joint_that_is_called_base_is_not_the_base() -> None:
+    found = Ambiguity("ground.rz[0]", (("base.rz[0]", 1.0),), 0.9, None, "ground")
+    assert found.sentence == "rz of the base, with rz of frame base: no visit separates them"
+
+
 def test_the_command_says_it_in_words_in_json_and_in_the_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

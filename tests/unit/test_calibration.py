@@ -90,6 +90,18 @@ def test_only_positions_that_were_used_widen_the_valid_range(made: Made) -> None
     assert calibration.joint_range[0, 1] == np.delete(recording.q[:, 0], end).max()
 
 
+def test_visits_that_were_set_aside_widen_neither_range(made: Made) -> None:
+    machine, recording, _, _ = made
+    found = identify(machine, recording)
+    end, heavy = int(np.argmax(recording.q[:, 0])), int(np.argmin(recording.wrench[:, 2]))
+    weights = found.weights.copy()
+    weights[[end, heavy]] = 0.3
+    calibration = Calibration.of(replace(found, weights=weights), recording, "joint")
+    kept = np.delete(np.arange(len(recording)), [end, heavy])
+    assert calibration.joint_range[0, 1] == recording.q[kept, 0].max()
+    assert calibration.payload_range[2, 0] == recording.wrench[kept, 2].min()
+
+
 def test_it_says_between_which_temperatures_it_was_measured(made: Made, tmp_path: Path) -> None:
     machine, recording, _, _ = made
     rail = np.linspace(19.0, 23.5, len(recording))

@@ -17,6 +17,7 @@ from ppshw.compensation.corrections import payload_at
 from ppshw.compensation.inverse import nominal_joints, solve_pose
 from ppshw.errors import CompensationRefused
 from ppshw.identification import identify
+from ppshw.kinematics import freedoms, tip_poses
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
 from ppshw.transforms import from_xyz_rpy
@@ -126,6 +127,28 @@ def test_of_several_ways_to_reach_a_pose_the_nearest_is_taken() -> None:
     other = np.array([0.2, 0.3, -0.4, 0.9 - np.pi, -0.8, -0.5 + np.pi])
     np.testing.assert_allclose(nominal_joints(machine, tip, near=q), q, atol=1e-6)
     np.testing.assert_allclose(nominal_joints(machine, tip, near=other), other, atol=1e-6)
+
+
+def test_of_whole_turns_the_nearest_is_taken_and_the_next_where_a_limit_is_in_the_way() -> None:
+    machine = load_machine(MACHINES / "real" / "ur5.yaml")  # every joint makes a turn to either side
+    q = np.array([4.5, -1.0, 1.2, -0.7, 1.1, 3.5])
+    tip = tip_poses(machine, q[None])[0]
+    np.testing.assert_allclose(nominal_joints(machine, tip, near=q), q, atol=1e-6)
+    turn = np.array([2 * np.pi, 0, 0, 0, 0, 2 * np.pi])
+    np.testing.assert_allclose(nominal_joints(machine, tip, near=q - turn), q - turn, atol=1e-6)
+    short = [replace(j, limits=replace(j.limits, lower=-3.2, upper=3.2)) for j in machine.joints]  # hardly any choice
+    found = nominal_joints(replace(machine, joints=tuple(short)), tip, near=q)
+    assert np.abs(found).max() < 3.2
+    np.testing.assert_allclose(tip_poses(machine, found[None])[0], tip, atol=1e-6)
+
+
+def test_a_rail_that_lies_beyond_half_a_turn_of_metres_is_a_rail() -> None:
+    machine = load_machine(MACHINES / "pps.yaml")
+    rail = replace(machine.joints[0], limits=replace(machine.joints[0].limits, lower=4.0, upper=8.0))
+    far = replace(machine, joints=(rail, *machine.joints[1:]))
+    assert freedoms(far) == freedoms(machine)
+    q = np.array([7.5, 0.0, 0.9, 0.3, 0.0, 0.0])
+    np.testing.assert_allclose(nominal_joints(far, tip_poses(far, q[None])[0]), q, atol=1e-6)
 
 
 def test_many_poses_are_solved_at_once() -> None:

@@ -12,7 +12,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import without_gross_errors
+from ppshw.identification.plausible import doubts, misread, without_gross_errors
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.offline import simulate_recording_csv
@@ -49,6 +49,52 @@ def test_a_gross_reading_spoils_nothing_but_its_own_visit(measured: tuple[Machin
     calibration = Calibration.of(found, recording, "joint")
     assert calibration.provenance["visits_down_weighted"] == 2
     assert figures(residuals(recording, calibration))["p98_6_mm"] < 0.2  # of the readings as they should have been
+
+
+def test_a_damaged_encoder_cell_is_no_travel(measured: tuple[Machine, Recording]) -> None:
+    """Degrees in one cell: the waves of every function were laid over sixty radians."""
+    machine, recording = measured
+    q = recording.q.copy()
+    q[50, 1] = 57.2958
+    found = identify(machine, replace(recording, q=q))
+    calibration = Calibration.of(found, replace(recording, q=q), "joint")
+    assert calibration.joint_range[1].tolist() == [recording.q[:, 1].min(), recording.q[:, 1].max()]
+    clean = Calibration.of(identify(machine, recording), recording, "joint")
+    rms = [figures(residuals(recording, c))["rms_mm"] for c in (clean, calibration)]
+    assert rms[1] < 1.03 * rms[0]
+
+
+@pytest.mark.parametrize("factor", [4.0, 10.0, 100.0, -1.0])
+def test_a_misread_wrench_spoils_nothing_but_its_own_visit(
+    measured: tuple[Machine, Recording], factor: float
+) -> None:
+    """Of a load that hangs there: such a row draws the compliances to itself and is fitted well."""
+    machine, recording = measured
+    one = int(np.argmax(np.abs(recording.wrench[:, 2])))
+    wrench = recording.wrench.copy()
+    wrench[one] *= factor
+    spoilt = replace(recording, wrench=wrench)
+    assert np.flatnonzero(misread(machine, spoilt)).tolist() == [one]
+    assert not misread(machine, recording).any()
+    found = identify(machine, spoilt)
+    assert found.weights[one] < 1e-2
+    calibration = Calibration.of(found, spoilt, "joint")
+    others = np.delete(recording.wrench[:, 2], one)
+    assert calibration.payload_range[2].tolist() == [others.min(), others.max()]
+    (said,) = doubts(machine, spoilt)
+    assert said == (
+        f"the wrench read at 1 visit ({one + 1}) is not that of the load '{recording.load[one]}' at its other visits"
+    )
+
+
+def test_loads_that_are_not_single_rows_or_have_no_label_are_not_misread(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    wrench = recording.wrench.copy()
+    wrench[::7] *= 3.0  # two loads under one label
+    assert not misread(machine, replace(recording, wrench=wrench)).any()
+    wrench = recording.wrench.copy()
+    wrench[5] *= 100.0
+    assert not misread(machine, replace(recording, wrench=wrench, load=("",) * len(wrench))).any()
 
 
 def test_millimetres_for_metres_are_another_machine(measured: tuple[Machine, Recording]) -> None:

@@ -322,6 +322,36 @@ def test_the_page_states_the_figures_that_a_plain_calculation_gives(made: Path) 
     assert "Not in this report" not in words
 
 
+def test_a_reflector_that_nobody_measured_is_not_the_point_of_a_machine_without_one(copy: Path) -> None:
+    without = (copy / "machine.yaml").read_text().replace("treatment", "elsewhere")
+    (copy / "machine.yaml").write_text(without)
+    for name in ("calibration.json", "campaign.csv", "repeatability.db"):
+        (copy / name).unlink()
+    machine = load_machine(copy / "machine.yaml")
+    for file in copy.glob("verification_*.db"):
+        with RecordingFile.open(file, readonly=True) as recording:
+            header, rows = recording.table()
+        kept = [k for k, name in enumerate(header) if not name.startswith(("P1_", "treatment_"))]
+        file.unlink()
+        lines = [",".join(row[k] for k in kept) for row in (header, *rows)]
+        file.with_suffix(".csv").write_text("\n".join(lines) + "\n")
+    assert list(machine.targets)[:2] == ["P1", "P2"]
+    assert read_folder(copy).point == "P2"
+
+
+def test_a_campaign_that_measured_points_of_interest_alone_leaves_no_residuals_to_show(copy: Path) -> None:
+    header, *rows = (line.split(",") for line in (copy / "campaign.csv").read_text().splitlines())
+    names = {"P1_x": "treatment_x", "P1_y": "treatment_y", "P1_z": "treatment_z"}
+    lost = [k for k, name in enumerate(header) if name.startswith(("P2_", "P3_"))]
+    rows = [["" if k in lost else cell for k, cell in enumerate(row)] for row in rows]
+    lines = [",".join(row) for row in ([names.get(name, name) for name in header], *rows)]
+    (copy / "campaign.csv").write_text("\n".join(lines) + "\n")
+    build_report(copy, NOW)
+    words = page(copy).words
+    assert "Coverage of the joints" in words
+    assert "The identification recording" not in words
+
+
 def test_hashes_of_the_files_are_on_the_page(made: Path) -> None:
     words = page(made).words
     contents = read_folder(made)
