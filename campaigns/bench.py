@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -13,7 +13,17 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ports import Atmosphere, AxisGroup, Clock, DeviceInfo, ForceSensor, Thermometer, Tracker, WallClock
+from drivers.ports import (
+    Atmosphere,
+    AxisGroup,
+    Clock,
+    DeviceInfo,
+    ForceSensor,
+    Thermometer,
+    Tracker,
+    WallClock,
+    not_stopped,
+)
 from ppshw import kinematics
 from ppshw.errors import HardwareError
 from ppshw.machine import Machine
@@ -61,11 +71,15 @@ class Bench:
                 self.stop()
             finally:
                 problems = self._close()
-        if kind is None and problems:
-            raise problems[0]
+        if error is None and problems:
+            error = problems.pop(0)
         for problem in problems:  # the first error is the cause; these stay with it for whoever debugs
             assert error is not None
             error.add_note(f"while closing: {problem}")
+        if self.axes.unstopped:
+            raise _with_unstopped(error, self.axes.unstopped) from error
+        if kind is None and error is not None:
+            raise error
 
     def check(self) -> list[DeviceInfo]:
         """Who every device is and how it is; nothing moves. Raises for the first that does not answer."""
@@ -140,6 +154,14 @@ class Bench:
             except Exception as problem:
                 problems.append(problem)
         return problems
+
+
+def _with_unstopped(error: BaseException | None, axes: Sequence[str]) -> HardwareError:
+    """What goes wrong beside an axis that was not stopped is the lesser evil, and said beside it."""
+    if isinstance(error, HardwareError):
+        return type(error)(error.device, f"{error.cause}; {not_stopped(axes)}")
+    said = f" ({str(error) or type(error).__name__})" if error is not None else ""
+    return HardwareError("axes", f"{not_stopped(axes)}{said}")
 
 
 @contextmanager

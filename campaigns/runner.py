@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from campaigns.bench import Bench
 from campaigns.operator import Command, Operator
 from campaigns.plan import Plan, Visit, check_setpoints
-from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading
+from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading, not_stopped
 from ppshw.errors import (
     BeamLost,
     CampaignError,
@@ -392,7 +392,9 @@ class _Run:
                     self._bench.axes.quick_stop()
                     self._noticed = self._now()
                     found.append(error)
-                    self._operator.tell(f"{error}. The axes are stopped, the run ends after your answer.")
+                    left = self._bench.axes.unstopped
+                    stopped = not_stopped(left) if left else "The axes are stopped"
+                    self._operator.tell(f"{error}. {stopped}, the run ends after your answer.")
                     return
 
         watcher = threading.Thread(target=watch, daemon=True)
@@ -408,7 +410,7 @@ class _Run:
     def _log_trouble(self, file: RecordingFile, error: BaseException, visit: Visit | None) -> None:
         data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}
         if isinstance(error, HardwareError):
-            note = {**data, "device": error.device, "cause": error.cause}
+            note = {**data, "device": error.device, "cause": error.cause, "unstopped": list(self._bench.axes.unstopped)}
             file.log(self._noticed or self._now(), "fault", str(error), note)
         else:
             self._log(file, "stopped", str(error) or "interrupted", data)

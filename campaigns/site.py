@@ -31,6 +31,7 @@ from drivers.cia402_objects import (
     FOLLOWING_TIME,
     FOLLOWING_WINDOW,
     HOME_OFFSET,
+    HOMING_ACCELERATION,
     HOMING_FAST,
     HOMING_METHOD,
     HOMING_SLOW,
@@ -331,7 +332,7 @@ def _set_afterwards(s: Section, homing: HomingConfig | None, host: int | None) -
         CONTROLWORD: "every move", MODE: "every move", TARGET: "every move",
     }  # fmt: skip
     if homing is not None:
-        by |= {HOMING_METHOD: "'homing.method'", HOME_OFFSET: "'homing.offset'"}
+        by |= {HOMING_METHOD: "'homing.method'", HOME_OFFSET: "'homing.offset'", HOMING_ACCELERATION: "'acceleration'"}
         by |= {HOMING_FAST: "'homing.fast'"} if homing.fast is not None else {}
         by |= {HOMING_SLOW: "'homing.slow'"} if homing.slow is not None else {}
     if "following_window" in s:

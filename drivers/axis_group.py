@@ -10,6 +10,7 @@ import itertools
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
 
 from drivers.axis_config import AxisConfig
@@ -53,6 +54,7 @@ class Cia402Group:
         self._approach = dict.fromkeys(self.names, 0)
         self._started = False
         self._ours = False  # nobody else was found to move these axes
+        self.unstopped: Sequence[str] = ()
 
     def axis(self, name: str) -> Cia402Axis:
         self._connect()
@@ -92,6 +94,7 @@ class Cia402Group:
             axis.refuse_in_motion()
         self._ours = True
         self._bus.stopped = False
+        self._bus.begin_heartbeat()
         try:
             for axis in self._axes.values():
                 axis.target = None
@@ -107,8 +110,10 @@ class Cia402Group:
             for axis in homed:
                 self._home(axis)
             self._exchange()
-        except BaseException:
+        except BaseException as error:
             self.quick_stop()
+            if isinstance(error, Stopped):
+                self._raise_trouble()  # the reason, where an emergency stopped all meanwhile
             raise
         return [axis.name for axis in homed]
 
@@ -145,7 +150,7 @@ class Cia402Group:
         one that failed."""
         steps = [self._wait_for_standstill] if self._started else []
         for axis in self._axes.values():
-            steps += [axis.disable, axis.end_watch] if self._started else [axis.end_watch]
+            steps += [partial(self._switch_off, axis), axis.end_watch] if self._started else [axis.end_watch]
         try:
             for step in steps:
                 try:
@@ -156,6 +161,10 @@ class Cia402Group:
             self._started = self._ours = False
             self._axes = {}
             self._bus.close()
+
+    def _switch_off(self, axis: Cia402Axis) -> None:
+        axis.disable()
+        self.unstopped = [name for name in self.unstopped if name != axis.name]
 
     def __enter__(self) -> Cia402Group:
         return self
@@ -170,15 +179,15 @@ class Cia402Group:
     def quick_stop(self) -> None:
         """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show.
 
-        Best effort: what fails here is logged, because the reason for stopping is what must be heard. Axes that another
-        program moves are left to it.
+        Best effort: what fails here is logged, because the reason for stopping is what must be heard, and is in
+        `unstopped`. Axes that another program moves are left to it.
         """
         if not self._ours:
             return
+        self.unstopped = self.names
         try:
             self._stop_at_once()
-            if self._axes:
-                self._power_off_the_disobedient()
+            self.unstopped = self._stop_the_disobedient()
         except Exception as error:
             log.error("quick stop: %s", error)
         finally:
@@ -195,7 +204,8 @@ class Cia402Group:
                 silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
                 heard = [axis for axis in self._axes.values() if axis.node_id not in silent]
                 here = {axis.name: self._position(axis) for axis in heard}
-                if all(abs(q - before.get(name, math.inf)) <= self._configs[name].window for name, q in here.items()):
+                still = [abs(q - before.get(name, math.inf)) <= self._configs[name].window for name, q in here.items()]
+                if still and all(still):
                     return
                 before = here
                 self._clock.sleep(LOOK_S)
@@ -205,19 +215,20 @@ class Cia402Group:
             with self._bus.arrival:  # unseen, the ramps are given their time: nothing more arrives
                 self._clock.wait_for(self._bus.arrival, lambda: False, deadline - self._clock.now())
 
-    def _power_off_the_disobedient(self) -> None:
-        """A node without process data may still answer SDO, for instance when it fell back to PRE-OPERATIONAL."""
+    def _stop_the_disobedient(self) -> list[str]:
+        """Stopped by SDO, or switched off; returns who was not seen to obey. Nodes without process data may still
+        answer SDO, for instance when they fell back to PRE-OPERATIONAL, as all do at one word of an NMT master."""
         silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
-        if len(silent) == len(self._axes) > 1:
-            log.error("quick stop: nothing answers on %s", self._bus.config.name)
-            return
+        unstopped = []
         for axis in sorted(self._axes.values(), key=lambda a: a.node_id in silent):
             try:
                 if axis.state() is State.OPERATION_ENABLED:
-                    log.warning("%s: did not obey quick stop by process data, powering off", axis.name)
-                    axis.disable()
+                    log.warning("%s: did not obey quick stop by process data", axis.name)
+                    axis.quick_stop_by_sdo()
             except HardwareError as error:
                 log.error("quick stop: %s", error)
+                unstopped.append(axis.name)
+        return unstopped
 
     def _on_emergency(self) -> None:
         """Called in the receiving thread; a bus that we only look at is left alone."""
@@ -273,6 +284,9 @@ class Cia402Group:
         if not silences:
             return
         if len(silences) == len(self._axes) > 1:
+            fallen = {axis.fell_back() for axis in self._axes.values()}
+            if len(fallen) == 1 and (state := fallen.pop()):
+                raise BusLost(self._bus.config.name, f"every axis is {state}: another program's word (NMT), or theirs")
             raise BusLost(self._bus.config.name, f"silent: nothing from {', '.join(silences)}")
         raise next(iter(silences.values()))
 

@@ -1,9 +1,10 @@
 """One program to a CAN bus. Two would configure, move and switch off the same drives, and on a serial adapter each
 would hear half of the answers; python-can lets both in.
 
-Whoever opens a bus holds a lock on a file in the system's folder for temporary files. Which bus it is, is told by
-python-can's own arguments: two names for one adapter are two buses, except for links to one device. `virtual` buses
-exist inside one process and are not locked; nor is any on Windows, where adapters are opened by one program only.
+Whoever opens a bus holds a lock on a file in /tmp, whatever the user's own folder for temporary files is. Which bus it
+is, is told by python-can's own arguments: two names for one adapter are two buses, except for links to one device.
+`virtual` buses exist inside one process and are not locked; nor is any on Windows, where adapters are opened by one
+program only.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,4 +54,4 @@ def lock_file(can: Mapping[str, Any]) -> Path:
             if word.startswith("/"):  # a device, perhaps by one of udev's links, perhaps with slcan's @baudrate
                 word = os.path.realpath(word.partition("@")[0])
             words.append(word)
-    return Path(tempfile.gettempdir(), re.sub(r"[^\w.-]+", "_", "-".join(["ppshw", *words, "can.lock"])))
+    return Path("/tmp", re.sub(r"[^\w.-]+", "_", "-".join(["ppshw", *words, "can.lock"])))

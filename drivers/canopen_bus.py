@@ -28,6 +28,8 @@ log = logging.getLogger(__name__)
 # SDO aborts by which drives say that they have no such object: none, no sub-index, not available, no data
 NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
 
+NO_ANSWER = "No SDO response received"  # as canopen says it, which has one class for every failure
+
 HEARTBEATS_MISSED = 3  # in a row; the drives, which wait for five periods, are then still told to stop
 
 
@@ -73,14 +75,14 @@ class CanBus:
         self.arrival = threading.Condition()
         self.commanding = threading.RLock()
         self.stopped = False
-        self._network: canopen.Network | None = None
+        self._network: _Network | None = None
         self._pending: set[int] = set()
         self._loss: Exception | None = None
         self._heartbeat: _HostHeartbeat | None = None
         self._lock: BusLock | None = None
 
     @property
-    def network(self) -> canopen.Network:
+    def network(self) -> _Network:
         if self._network is None:
             raise BusLost(self.config.name, "not open")
         return self._network
@@ -100,8 +102,12 @@ class CanBus:
             lock.release()
             raise
         self._lock, self._network = lock, network
-        if self.config.host_node_id is not None:
-            self._heartbeat = _HostHeartbeat(network, self.config.host_node_id, self.config.host_heartbeat_period)
+
+    def begin_heartbeat(self) -> None:
+        """Where the drives are to watch one. Not before they are started: who only looks leaves no watch armed."""
+        if self.config.host_node_id is not None and self._heartbeat is None:
+            period = self.config.host_heartbeat_period
+            self._heartbeat = _HostHeartbeat(self.network, self.config.host_node_id, period)
 
     def _connected(self) -> _Network:
         network = _Network(self.config.name)
@@ -356,6 +362,9 @@ class SdoPort:
                 yield
             except SdoCommunicationError as error:
                 self._bus.check()
+                if str(error) != NO_ANSWER:
+                    other = f"the SDO answer on {what} is none to it; does another program speak to this drive?"
+                    raise ProtocolError(self._device, f"{other} ({error})") from error
                 waited = self._bus.config.sdo_timeout
                 raise HardwareTimeout(self._device, f"no SDO answer on {what} within {waited:g} s") from error
             except struct.error as error:

@@ -21,6 +21,7 @@ from canopen.pdo import PdoMap
 from drivers.axis_config import AxisConfig
 from drivers.canopen_bus import CanBus, Entry, SdoPort
 from drivers.cia402_objects import (
+    ABORT_OPTION,
     ACCELERATION,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
@@ -44,6 +45,7 @@ from drivers.cia402_objects import (
     PRODUCT,
     PROFILE_POSITION,
     QUICK_STOP,
+    QUICK_STOP_OPTION,
     REVISION,
     SERIAL,
     STATUSWORD,
@@ -129,7 +131,9 @@ class Cia402Axis:
         vendor, product, revision = (self.sdo.read_if_present(e) for e in (VENDOR, PRODUCT, REVISION))
         model = f"{self.sdo.text_if_present(0x1008) or 'drive'} (vendor {_hex(vendor)}, product {_hex(product)})"
         firmware = self.sdo.text_if_present(0x100A) or f"revision {_hex(revision)}"
-        status = f"{self.state()}, at {self.position():.6f} {self.config.unit}, heartbeat {self._heartbeat_status()}"
+        state = self.state()
+        on = " (motor left on by another program)" if state is State.OPERATION_ENABLED and not self._supervised else ""
+        status = f"{state}{on}, at {self.position():.6f} {self.config.unit}, heartbeat {self._heartbeat_status()}"
         problem = ""
         try:
             self.check_identity()
@@ -187,6 +191,7 @@ class Cia402Axis:
         self._node.nmt.state = "PRE-OPERATIONAL"
         for (index, subindex), value in self.config.parameters.items():
             self.sdo.set(self._entry_of_reported_size(index, subindex), value)
+        self._require_a_stop()
         self._configure_motion()
         self._map_process_data()
         self.sdo.set(PRODUCER_HEARTBEAT, round(self._bus.config.heartbeat_period * 1000))
@@ -202,6 +207,16 @@ class Cia402Axis:
         self._node.nmt.state = "OPERATIONAL"
         self._last_heard = self._bus.clock.now()
         self._supervised = True
+
+    def _require_a_stop(self) -> None:
+        """By the drive's own option codes: without a brake, an axis of option 0 coasts."""
+        options = [(QUICK_STOP_OPTION, "a quick stop would only cut its power")]
+        if self._bus.config.host_node_id is not None:
+            options.append((ABORT_OPTION, "it would not stop when this program dies"))
+        for entry, what in options:
+            if self.sdo.read_if_present(entry) == 0:
+                key = f"axes.{self.name}.parameters {{0x{entry.index:04X}: …}}"
+                raise ConfigurationMismatch(self.name, f"{entry} is 0: {what}; set it in {key}")
 
     def end_watch(self) -> None:
         """The drive no longer faults (0x8130) when this program's heartbeat ends."""
@@ -307,6 +322,8 @@ class Cia402Axis:
                 return
             if self._bus.clock.now() > deadline:
                 raise HardwareTimeout(self.name, f"still {state} {timeout:g} s after enable")
+            if self._bus.stopped:
+                raise Stopped(f"{self.name}: the axes were quick-stopped while it was enabled")
             if state in NEXT_COMMAND:
                 self.sdo.write(CONTROLWORD, NEXT_COMMAND[state])
             if state is last:
@@ -319,6 +336,12 @@ class Cia402Axis:
             if self._bus.clock.now() > deadline:
                 raise HardwareTimeout(self.name, f"refuses mode {PROFILE_POSITION} (profile position), shows {shown}")
             self._bus.clock.sleep(self._bus.config.sync_period)
+
+    def quick_stop_by_sdo(self) -> None:
+        """For a drive that did not obey by process data; one that does not by SDO either is switched off."""
+        self.sdo.write(CONTROLWORD, QUICK_STOP)
+        if self.state() is State.OPERATION_ENABLED:
+            self.disable()
 
     def disable(self) -> None:
         """Power off the motor; the drive leaves OPERATION ENABLED at once."""
@@ -381,6 +404,12 @@ class Cia402Axis:
                 return None
         silent = clock.now() - self._last_heard
         return HeartbeatLost(self.name, f"no heartbeat for {silent:.1f} s (node {self.node_id})")
+
+    def fell_back(self) -> str:
+        """The NMT state that its heartbeat says, where that is fresh and none that process data come in; else ''."""
+        fresh = self._bus.clock.now() - self._last_heard <= self._bus.config.heartbeat_timeout
+        state = str(self._node.nmt.state)
+        return state if fresh and state in ("PRE-OPERATIONAL", "STOPPED") else ""
 
     def silent_after_sync(self) -> HeartbeatLost:
         waited, heard = self._bus.config.answer_timeout, self._bus.clock.now() - self._last_heard

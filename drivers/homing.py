@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.axis_config import HomingConfig
-from drivers.canopen_bus import CanBus
-from drivers.cia402 import Cia402Axis
+from drivers.canopen_bus import CanBus, Entry
+from drivers.cia402 import COARSE, Cia402Axis
 from drivers.cia402_objects import (
     ENABLE,
     HOME_IN_PLACE,
     HOME_OFFSET,
     HOMING,
+    HOMING_ACCELERATION,
     HOMING_FAST,
     HOMING_METHOD,
     HOMING_SLOW,
@@ -50,14 +51,31 @@ def home(axis: Cia402Axis, bus: CanBus, exchange: Callable[[], None]) -> None:
     axis.sdo.set(HOMING_METHOD, homing.method)
     axis.sdo.set_if_present(HOME_OFFSET, 0)
     for entry, key, speed in ((HOMING_FAST, "fast", homing.fast), (HOMING_SLOW, "slow", homing.slow)):
-        if speed is not None:
-            axis.sdo.set(entry, axis.in_whole_units(speed * c.counts_per_unit * c.velocity_units, f"homing.{key}"))
+        _set_speed(axis, entry, key, speed)
+    acceleration = c.acceleration * c.counts_per_unit * c.acceleration_units
+    axis.sdo.set_if_present(HOMING_ACCELERATION, axis.in_whole_units(acceleration, "acceleration"))
     _command(axis, bus, exchange, HOMING, ENABLE)
     _command(axis, bus, exchange, HOMING, ENABLE | NEW_SET_POINT)
     _wait_until_attained(axis, bus, exchange, homing.timeout_s, in_place=homing.method in HOME_IN_PLACE)
     _command(axis, bus, exchange, PROFILE_POSITION, ENABLE)
     _require_home(axis, homing)
     axis.homed = True
+
+
+def _set_speed(axis: Cia402Axis, entry: Entry, key: str, speed: float | None) -> None:
+    """Without one in the site file the drive's own stays, unless that is faster than the axis may move. Raises
+    SiteError."""
+    c = axis.config
+    unit = c.counts_per_unit * c.velocity_units
+    if speed is not None:
+        axis.sdo.set(entry, axis.in_whole_units(speed * unit, f"homing.{key}"))
+        return
+    its_own = axis.sdo.read_if_present(entry)
+    if its_own is not None and its_own > (1 + COARSE) * c.velocity * unit:
+        fast = f"the drive's own {entry} is {its_own / unit:.3g} {c.unit}/s"
+        raise SiteError(
+            f"axes.{axis.name}.homing.{key} is missing, and {fast}, where the axis may move at {c.velocity:g}"
+        )
 
 
 def _require_home(axis: Cia402Axis, homing: HomingConfig) -> None:

@@ -92,10 +92,19 @@ class MoveReport:
     ended_at: float
 
 
+def not_stopped(axes: Sequence[str]) -> str:
+    """What somebody who stands there must be told of `unstopped` axes."""
+    return f"{', '.join(axes)} could NOT be told to stop, and may move or hold power: press the emergency stop"
+
+
 class AxisGroup(Protocol):
-    """All axes of a machine; one fault stops them all."""
+    """All axes of a machine; one fault stops them all.
+
+    unstopped  axes of which neither the last quick stop nor closing could see that they obeyed
+    """
 
     names: Sequence[str]
+    unstopped: Sequence[str]
 
     def check(self) -> list[DeviceInfo]:
         """Connect and say who and how each drive is; enables and moves nothing."""
@@ -127,7 +136,7 @@ class AxisGroup(Protocol):
         was (`at`)  [m or rad]."""
 
     def quick_stop(self) -> None:
-        """Stop every axis now; never raises."""
+        """Stop every axis now; never raises. What did not obey is in `unstopped`."""
 
     def close(self) -> None: ...
 

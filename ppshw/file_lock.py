@@ -35,4 +35,7 @@ def _opened(path: Path) -> int:
     try:
         return os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
     except FileNotFoundError:
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        handle = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        if os.fstat(handle).st_uid == os.geteuid():
+            os.fchmod(handle, 0o644)  # else a file that was left behind would keep others out, by this one's umask
+        return handle

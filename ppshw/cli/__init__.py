@@ -64,6 +64,8 @@ def _as_a_program() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  as long as the process
+    if sys.stdin is None:
+        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
     if not os.environ.get("PPSHW_DEBUG"):
         logging.captureWarnings(True)
         logging.getLogger().addHandler(logging.NullHandler())  # else Python prints the drivers' warnings itself

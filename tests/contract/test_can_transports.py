@@ -24,6 +24,7 @@ from drivers.bus_lock import BusLock, lock_file
 from drivers.canopen_bus import BusConfig
 from drivers.cia402 import Cia402Axis
 from ppshw.errors import BusLost, DriveFault, HardwareError, HeartbeatLost
+from ppshw.file_lock import locked
 from simulators.can_gateway import SlcanGateway, decode, encode
 from simulators.clock import SteppedClock
 from simulators.drive import Power, SimulatedDriveRack
@@ -234,6 +235,25 @@ def test_the_lock_on_a_bus_goes_with_the_program_that_was_killed() -> None:
         BusLock("bus", {**arguments, "port": next(ports)}).release()
         program.kill()
     BusLock("bus", arguments).release()
+
+
+def test_the_lock_is_the_same_whatever_the_users_folder_for_temporary_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = {"interface": "slcan", "channel": "/dev/null"}
+    before = lock_file(arguments)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    assert lock_file(arguments) == before
+
+
+def test_a_lock_that_is_left_behind_may_be_read_by_everybody(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        os.close(locked(tmp_path / "bus.lock"))
+    finally:
+        os.umask(before)
+    assert (tmp_path / "bus.lock").stat().st_mode & 0o777 == 0o644
 
 
 def test_two_names_for_one_adapter_are_one_bus(tmp_path: Path) -> None:

@@ -57,8 +57,14 @@ def test_a_campaign_survives_when(case: str, rig: Rig) -> None:
     with RecordingFile.open(rig.out) as file:
         assert file.done() == {0, 1, 2, 3, 4}
         (fault,) = [(text, data) for _, kind, text, data in file.events() if kind == "fault"]
-    assert fault[0] == str(caught.value)
     assert fault[1]["visit"] == 5
+    unheard = {axis.name for axis in rig.site.axes if not rig.hardware.rack.drives[axis.node_id].online}
+    assert set(fault[1]["unstopped"]) == unheard
+    if unheard:  # nobody could tell them, and whoever stands there must know
+        assert str(caught.value).startswith(f"{fault[0]}; ")
+        assert "could NOT be told to stop, and may move or hold power: press the emergency stop" in str(caught.value)
+    else:
+        assert fault[0] == str(caught.value)
 
     repair(rig.hardware)
     result = rig.run(reset_faults=True)

@@ -16,13 +16,14 @@ from dataclasses import replace
 from typing import Any
 
 import can
+import canopen
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.axis_config import AxisConfig, HomingConfig
 from drivers.axis_group import Cia402Group
-from drivers.canopen_bus import BusConfig, CanBus, Entry
+from drivers.canopen_bus import BusConfig, CanBus, Entry, SdoPort
 from drivers.cia402 import Cia402Axis
 from drivers.cia402_objects import State, decode_state
 from drivers.emcy import meaning
@@ -36,6 +37,7 @@ from ppshw.errors import (
     HardwareTimeout,
     HeartbeatLost,
     IdentityMismatch,
+    ProtocolError,
     SiteError,
     SoftLimit,
     Stopped,
@@ -250,11 +252,39 @@ def test_a_trip_stops_the_others_at_once_not_only_when_the_program_looks(machine
     assert machine.drive("slide").power is Power.QUICK_STOP_ACTIVE
 
 
-def test_a_node_that_left_operational_is_powered_off_by_sdo(machine: Machine) -> None:
+def test_a_node_that_left_operational_is_stopped_by_sdo(machine: Machine) -> None:
     machine.drive("lift").node.nmt.state = "PRE-OPERATIONAL"
     with pytest.raises(HeartbeatLost, match=r"lift: no process data within 0\.5 s of SYNC, .* PRE-OPERATIONAL"):
         machine.group.move({"slide": 0.1})
-    assert machine.drive("lift").power is Power.SWITCH_ON_DISABLED
+    assert machine.drive("lift").power is Power.QUICK_STOP_ACTIVE
+    assert machine.group.unstopped == []
+
+
+def test_nodes_that_all_left_operational_in_mid_move_are_stopped_by_sdo_and_why_is_said(machine: Machine) -> None:
+    """As at one word of another NMT master, or by CiA 301's default when the host's heartbeat lapses."""
+
+    def fall_back() -> None:
+        for name in machine.group.names:
+            machine.drive(name).node.nmt.state = "PRE-OPERATIONAL"
+
+    machine.after(2.0, fall_back)
+    with pytest.raises(BusLost, match="every axis is PRE-OPERATIONAL: another program's word"):
+        machine.group.move({"slide": 0.8, "lift": 0.8})
+    machine.clock.sleep(1.0)
+    before = [machine.drive(name).motor_position() for name in machine.group.names]
+    machine.clock.sleep(10.0)
+    assert [machine.drive(name).motor_position() for name in machine.group.names] == before
+    assert before[0] < 0.7 * 100_000
+    assert machine.group.unstopped == []
+
+
+def test_who_was_not_seen_to_stop_is_told(machine: Machine) -> None:
+    machine.after(2.0, machine.drive("lift").unplug)
+    with pytest.raises(HeartbeatLost, match="lift: no process data"):
+        machine.group.move({"slide": 0.8, "lift": 0.8})
+    assert machine.group.unstopped == ["lift"]
+    machine.group.close()
+    assert machine.group.unstopped == ["lift"]
 
 
 def test_a_stuck_axis_is_a_following_error_with_its_numbers(machine: Machine) -> None:
@@ -738,6 +768,66 @@ def test_a_host_that_cannot_send_its_heartbeat_has_lost_the_bus(
     assert on_the_terminal == []
 
 
+def test_who_only_looks_sends_no_heartbeat_that_drives_of_an_earlier_program_would_miss_afterwards(
+    build: Callable[..., Machine],
+) -> None:
+    m = build(SLIDE)
+    m.group = watched(m)
+    with can.Bus(interface="virtual", channel=m.rack.channel, ignore_config=True) as listener:
+        m.group.check()
+        heard = list(iter(lambda: listener.recv(0.2), None))
+    assert heard
+    assert all(message.arbitration_id != 0x77E for message in heard)
+
+
+@pytest.mark.parametrize(("index", "of_whom"), [(0x605A, "quick stop option"), (0x6007, "abort connection option")])
+def test_a_drive_that_would_not_stop_is_not_started(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch, index: int, of_whom: str
+) -> None:
+    m = build(SLIDE)
+    m.group = watched(m)
+    read = SdoPort.read_if_present
+    monkeypatch.setattr(SdoPort, "read_if_present", lambda s, entry: 0 if entry.index == index else read(s, entry))
+    with pytest.raises(ConfigurationMismatch, match=rf"slide: {of_whom} 0x{index:04X}:00 is 0: .* axes\.slide\.par"):
+        m.group.start()
+    assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+def test_no_axis_is_enabled_after_another_one_stopped_them_all(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m = build(SLIDE, LIFT, SLEW)
+    enable, asked = Cia402Axis.enable, list[str]()
+
+    def trip_meanwhile(axis: Cia402Axis) -> None:
+        asked.append(axis.name)
+        if axis.name == "lift":
+            m.drive("slide").trip(0x3220)
+            with m.group._bus.arrival:
+                m.group._bus.arrival.wait_for(lambda: m.group._bus.stopped, 5.0)
+        enable(axis)
+
+    monkeypatch.setattr(Cia402Axis, "enable", trip_meanwhile)
+    with pytest.raises(DriveFault, match="slide: drive fault 0x3220"):
+        m.group.start()
+    assert asked == ["slide", "lift"]
+    assert m.drive("lift").power is Power.SWITCH_ON_DISABLED
+
+
+def test_who_answers_another_programs_question_is_not_called_silent(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m = build(SLIDE)
+    axis = m.group.axis("slide")
+
+    def of_another(index: int, subindex: int) -> bytes:
+        raise canopen.SdoCommunicationError("Node returned a value for 0x1400:01 instead")
+
+    monkeypatch.setattr(axis.sdo._sdo, "upload", of_another)
+    with pytest.raises(ProtocolError, match=r"slide: the SDO answer on statusword .* does another program speak to"):
+        axis.state()
+
+
 def test_the_watch_over_the_hosts_heartbeat_ends_with_the_program(build: Callable[..., Machine]) -> None:
     m = build(SLIDE, LIFT)
     m.group = watched(m)
@@ -850,6 +940,22 @@ def test_an_axis_that_cannot_be_is_refused_before_anything_is_connected(wrong: d
 
 
 HOMED = replace(SLIDE, homing=HomingConfig(method=17, offset=-0.5, fast=0.2, slow=0.01))
+
+
+def test_a_drives_own_homing_speed_is_not_used_where_the_axis_may_not_move_so_fast(
+    build: Callable[..., Machine],
+) -> None:
+    m = build(replace(HOMED, homing=HomingConfig(method=17, offset=-0.5)), absolute=False, home_at=20_000)
+    m.drive("slide").store(0x6099, 1, 50_000)  # 0.5 m/s, where 0.1 are allowed
+    with pytest.raises(SiteError, match=r"axes\.slide\.homing\.fast is missing, and .* 0\.5 m/s, .* move at 0\.1"):
+        m.group.start()
+
+
+def test_homing_brakes_and_accelerates_as_every_move_does(build: Callable[..., Machine]) -> None:
+    m = build(HOMED, absolute=False, home_at=20_000)
+    m.drive("slide").store(0x609A, 0, 900_000)
+    m.group.start()
+    assert m.drive("slide").value(0x609A) == 10_000
 
 
 def test_an_incremental_axis_homes_at_start_and_knows_where_it_is(build: Callable[..., Machine]) -> None:

@@ -57,6 +57,7 @@ class FakeAxes:
 
     def __init__(self, names: Sequence[str], clock: SteppedClock) -> None:
         self.names = names
+        self.unstopped: Sequence[str] = ()
         self.clock = clock
         self.at = dict.fromkeys(names, 0.0)
         self.moves: list[dict[str, float]] = []
