@@ -4,8 +4,9 @@ Added here, from CiA 301: PDOs with mapping and transmission types, SYNC, heartb
 boot-up, reset.
 
 Known limitations: PDO COB-IDs stay in the predefined connection set; transmission types are "every SYNC"
-(0–240 are taken as 1) or "on event" (254, 255); no inhibit time, event timer, RTR, heartbeat consumer, block
-transfer or LSS; a reset forgets all parameters that were written (nothing is stored).
+(0–240 are taken as 1) or "on event" (254, 255); no inhibit time, event timer, RTR, block transfer or LSS; a
+heartbeat is missed only where `miss_heartbeats` asks for it; a reset forgets all parameters that were written
+(nothing is stored).
 """
 
 from __future__ import annotations
@@ -137,6 +138,29 @@ class CanopenNode:
         """A node without object 0x1014 sends none (CiA 301: optional)."""
         if self.online and 0x1014 in self.node.object_dictionary:
             self.node.emcy.send(code, register)
+
+    def miss_heartbeats(self) -> None:
+        """Watch the heartbeat that 0x1016:1 names, from when it is first heard; once it lapses the node reports 0x8130
+        and falls back to PRE-OPERATIONAL, as 0x1029:1 = 0 has it. In real time, in which a host sends it."""
+        watch = self.value(0x1016, 1)
+        limit, lapse = (watch & 0xFFFF) / 1000.0, threading.Timer(0.0, lambda: None)
+
+        def heard(can_id: int, data: bytearray, timestamp: float) -> None:
+            nonlocal lapse
+            lapse.cancel()
+            lapse = threading.Timer(limit, self._missed)
+            lapse.daemon = True
+            lapse.start()
+
+        self._network.subscribe(0x700 + (watch >> 16 & 0x7F), heard)
+
+    def _missed(self) -> None:
+        if self.value(0x1016, 1):
+            self.heartbeat_missed()
+            self.node.nmt.state = PRE_OPERATIONAL
+
+    def heartbeat_missed(self) -> None:
+        """What the device does beside falling back."""
 
     def end_heartbeat(self) -> None:
         """All but its heartbeat goes on, as when another program writes 0 to 0x1017."""

@@ -120,6 +120,9 @@ class SimulatedDrive(CanopenNode):
         with self.lock:
             self._enter_fault(code)
 
+    def heartbeat_missed(self) -> None:
+        self.trip(0x8130)
+
     def lose_power(self) -> None:
         """Power stage off (safe torque off): no longer enabled, and not a word about it."""
         with self.lock:

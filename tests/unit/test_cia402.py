@@ -695,10 +695,10 @@ def test_a_drive_whose_controlword_is_mapped_first_goes_to_the_old_target(machin
     assert machine.drive("slide").value(0x6041) & 0x0400  # "reached"
 
 
-def watched(m: Machine) -> Cia402Group:
-    """The group of a site with `host_node_id`."""
+def watched(m: Machine, period: float = 0.05) -> Cia402Group:
+    """The group of a site with `host_node_id`; drives wait for five periods."""
     bus = BusConfig(
-        can={"interface": "virtual", "channel": m.rack.channel}, host_node_id=0x7E, host_heartbeat_period=0.05
+        can={"interface": "virtual", "channel": m.rack.channel}, host_node_id=0x7E, host_heartbeat_period=period
     )
     return Cia402Group(m.axes, bus, m.clock)
 
@@ -766,6 +766,32 @@ def test_a_host_that_cannot_send_its_heartbeat_has_lost_the_bus(
     assert m.drive("slide").power is not Power.OPERATION_ENABLED
     m.group.close()
     assert on_the_terminal == []
+
+
+def test_drives_stop_when_the_program_dies_and_not_when_it_ends(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE, LIFT)
+    m.group = watched(m, period=0.2)
+    m.group.start()
+    for drive in m.drives:
+        drive.miss_heartbeats()
+    time.sleep(1.2)  # longer than they wait
+    assert [drive.power for drive in m.drives] == [Power.OPERATION_ENABLED] * 2
+    heartbeat = m.group._bus._heartbeat
+    assert heartbeat is not None
+    heartbeat.end()  # as if it were killed
+    deadline = time.monotonic() + 5.0
+    while any(drive.power is Power.OPERATION_ENABLED for drive in m.drives):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    with pytest.raises(DriveFault, match="0x8130"):
+        m.group.raise_if_faulty()
+    m.group.close()
+
+    m.group.reset_faults()
+    m.group.start()
+    m.group.close()
+    time.sleep(1.2)
+    assert [drive.power for drive in m.drives] == [Power.SWITCH_ON_DISABLED] * 2
 
 
 def test_who_only_looks_sends_no_heartbeat_that_drives_of_an_earlier_program_would_miss_afterwards(
