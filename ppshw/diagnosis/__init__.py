@@ -14,18 +14,11 @@ from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import column_mistakes
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, by_its_own_form, moved_by, size_beyond
-from ppshw.diagnosis.gross import (
-    GrossErrors,
-    Scatter,
-    gross_errors,
-    left_at_a_place,
-    scatter_of,
-    scatter_without_a_name,
-    still_gross,
-)
+from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, still_gross
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.scatter import Scatter, scatter_of, scatter_without_a_name
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.serial import SerialNoise
 from ppshw.diagnosis.visibility import visibility
