@@ -28,6 +28,9 @@ IN_BETWEEN, HEAVY = 1e-3, 0.02  # tails are heavy where so few visits of noise w
 # Degrees of freedom that the multivariate t may have of which noise is taken to be where its tails are heavy; the share
 # of visits, those nearest, that say which; and by how much log likelihood less the heaviest still may be it.
 TAILS, NEAREST, AS_LIKELY = (3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 120.0, 1e6), 0.95, 2.0
+# Noise of the likeliest tails leaves so many visits that far off by such a chance; so many at least, and fewer than a
+# tenth, as structure would.
+TOO_MANY, SEVERAL = 1e-5, 6
 TOGETHER = 1e-3  # chance that wrong visits gather at one place of a joint's travel
 OF_A_RIDDLE = 5.0  # times its rms: less is what a smooth function may leave of structure without a name
 
@@ -81,7 +84,7 @@ def gross_errors(space: Workspace) -> GrossErrors:
     distance = (residual**2).sum(axis=1)
     scale = _scale(distance, freedom)
     tail = chi2.sf(distance / scale, freedom)
-    far = distance > _limit(space, distance, freedom, scale)
+    far = (distance > _limit(space, distance, freedom, scale)) | _too_many(distance, freedom)
     if far.mean() > 0.1 or not _wrong(far, distance, freedom, scale):
         return GrossErrors()
     visits = np.flatnonzero(space.fit)[far]
@@ -156,6 +159,21 @@ def _limit(space: Workspace, distance: Array, freedom: Array, scale: float) -> A
     return np.asarray(scale * np.maximum(chi2.isf(GROSS / len(distance), freedom), least * freedom))
 
 
+def _too_many(distance: Array, freedom: Array) -> Mask:
+    """(V,) the farthest of V visits, where they are too many to be noise, whose tails the nearest say: any one alone
+    may well be."""
+    count = len(distance)
+    nu, _ = _tails(distance, freedom)
+    scale = float(np.median(distance / freedom)) / float(f_distribution.median(np.median(freedom), nu))
+    tail = np.asarray(f_distribution.sf(distance / (scale * freedom), freedom, nu), dtype=float)
+    order = np.sort(tail)[: max(2, count // 10)]
+    by_chance = np.asarray(binom.sf(np.arange(len(order)), count, order)) * len(order)
+    most = int(np.argmin(by_chance))
+    if by_chance[most] > TOO_MANY or not SEVERAL <= most + 1 < len(order):
+        return np.zeros(count, dtype=bool)
+    return np.asarray((tail <= order[most]) & (distance > FAR * _scale(distance, freedom) * freedom))
+
+
 def _wrong(far: Mask, distance: Array, freedom: Array, scale: float) -> bool:
     """Whether any visits far off are simply wrong: several are, a lone one if it is very far; (V,) of V visits each."""
     if int(far.sum()) != 1:
@@ -207,7 +225,8 @@ def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> Gr
     freedom = 3 * space.recording.seen.sum(axis=1)
     distance = (white**2).sum(axis=1)
     scale = _scale(distance[space.fit], freedom[space.fit])
-    far = (distance > _limit(space, distance, freedom, scale)) & (size > np.maximum(there, OF_A_RIDDLE * riddle))
+    far = (distance > _limit(space, distance, freedom, scale)) | _too_many(distance, freedom)
+    far &= size > np.maximum(there, OF_A_RIDDLE * riddle)
     far &= np.isin(np.arange(len(far)), gross.visits)
     kept = tuple(int(v) for v in np.flatnonzero(far)) if _wrong(far, distance, freedom, scale) else ()
     return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})

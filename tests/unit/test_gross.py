@@ -14,6 +14,7 @@ from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gross import (
     GrossErrors,
     _tails,
+    _too_many,
     gross_errors,
     left_at_a_place,
     still_gross,
@@ -177,3 +178,21 @@ def test_a_visit_that_is_sure_is_believed_however_far_off_it_is(bad: Workspace) 
     assert ratio[BAD] == pytest.approx(1 / np.sqrt(bad.base.weights[BAD]))
     assert ratio[BAD] > 1.5
     assert np.allclose(np.delete(ratio, BAD), 1.0)
+
+
+def test_visits_of_which_each_may_be_noise_are_wrong_where_they_are_too_many() -> None:
+    """Two reflectors and tails of a t with twenty degrees of freedom; one of the two was missed in eighteen visits."""
+    freedom, wrong = np.full(450, 6), np.arange(18)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        distance = rng.chisquare(6.0, 450) * 20.0 / rng.chisquare(20.0, 450)
+        assert not _too_many(distance, freedom).any()
+        distance[wrong[:3]] += 60.0
+        assert not _too_many(distance, freedom)[wrong[3:]].any()
+        distance[wrong[3:]] += 60.0
+        found = np.flatnonzero(_too_many(distance, freedom))
+        assert len(found) >= 18
+        assert set(wrong) <= set(found)
+        assert len(found) <= 24  # what noise leaves as far off goes with them
+        distance[18:120] += 60.0  # no few
+        assert not _too_many(distance, freedom).any()
