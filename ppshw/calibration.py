@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw import __version__
-from ppshw.errors import CalibrationError
+from ppshw.errors import CalibrationError, RecordingError
 from ppshw.identification.joint import Estimate, believable
 from ppshw.identification.noise import Noise
 from ppshw.identification.plausible import loads_not_measured
@@ -132,7 +132,15 @@ class Calibration:
 
     def continued(self, recording: Recording) -> tuple[Recording, Mask]:
         """A recording with what this calibration knows of the visits before and between its own, and which rows are
-        its own (N,): `earlier.continued`. That which the calibration was made from stands for itself."""
+        its own (N,): `earlier.continued`. That which the calibration was made from stands for itself.
+
+        Raises RecordingError where it lacks a temperature by which one of the effects goes."""
+        for place in dict.fromkeys(place for effect in self.effects for place in effect.places):
+            if not np.isfinite(recording.temperatures.get(place, np.array(np.nan))).all():
+                raise RecordingError(
+                    f"{recording.source}: column temp_{place}_C is missing or empty, by which an effect of the "
+                    "calibration goes"
+                )
         own = recording.sha256 == self.provenance.get("recording_sha256")
         return earlier.continued(None if own else self.visits, recording)
 

@@ -76,7 +76,7 @@ class Recording:
     wrench       (N, 6)    payload on the sensor, sensor frame; 0 without columns   [N, N·m]
     points       (N, T, 3) measured targets in the measuring frame, nan where lost and in copies  [m]
     extra_points name → (N, 3) measured reflectors at points of interest (tip.points)   [m]
-    temperatures place → (N,)  [°C];  covariates name → (N,)
+    temperatures place → (N,)  [°C], in empty cells between the others, nan where all are;  covariates name → (N,)
     sha256       of the canonical CSV text, the same for both forms
     copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
                  instrument repeats itself so, and a row that stands there twice is one reading
@@ -232,7 +232,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         wrench=wrench,
         points=points,
         extra_points=extra_points,
-        temperatures={n[5:-2]: cells.temperature(n) for n in cells.names
+        temperatures={n[5:-2]: _between(cells.temperature(n)) for n in cells.names
                       if n.startswith("temp_") and n.endswith("_C")},
         covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
         has_wrench=has_wrench,
@@ -240,6 +240,12 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
         copies=tuple(copies.tolist()),
     )  # fmt: skip
+
+
+def _between(values: Array) -> Array:
+    """Empty cells of a thermometer that says nothing now and then: between what it says before and after."""
+    told = np.flatnonzero(np.isfinite(values))
+    return np.asarray(np.interp(np.arange(len(values)), told, values[told])) if len(told) else values
 
 
 def _copies(rows: Array, points: Array) -> NDArray[np.int64]:

@@ -99,7 +99,7 @@ class KnownEffects:
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
         if effect.name == UNNAMED:
             return False, "nothing says that it stays: no axis is driven by it, nor by what it would change"
-        if any(c.on == "points" for c in effect.columns):
+        if effect.of_instrument:
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if any(c.function == "hopping" for c in effect.columns):
             return True, "as at the recording's end; it hops, and where it is now cannot be known"
@@ -176,7 +176,7 @@ class KnownEffects:
 
     def _ways(self, now: Moment, past: Past) -> Iterator[list[tuple[Moment, Past]]]:
         """Of each thing that effects ask for and nobody knows, what it may as well be."""
-        columns = [c for e in self.effects for c in e.columns if c.on != "points"]
+        columns = [c for e in self.effects if not e.of_instrument for c in e.columns]
         sides = {int(c.args.get("joint") or 0) for c in columns if c.function in FROM_APPROACH}
         for joint in sorted(j for j in sides if now.approach[j] == 0):
             yield [(replace(now, approach=_with(now.approach, joint, side)), past) for side in (-1, 1)]
@@ -196,7 +196,8 @@ class KnownEffects:
         for effect in self.effects:
             for column, value in zip(effect.columns, effect.values, strict=True):
                 stays = effect.name == "zero_shift" and column.function != "hopping"
-                if column.on == "points" or not _by_clock(column) or stays or column.args.get("form") in BEFORE_IT:
+                follows = _by_clock(column) or column.args.get("name") == "time"
+                if effect.of_instrument or not follows or stays or column.args.get("form") in BEFORE_IT:
                     continue
                 where = (column.frame, column.component) if column.on == "frame" else (slice(None), slice(None))
                 for k, size in enumerate(self._over_time(column, context)):
@@ -216,7 +217,7 @@ class KnownEffects:
         return values
 
     def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
-        if column.on == "points" or column.args.get("form") in BEFORE_IT:
+        if effect.of_instrument or column.args.get("form") in BEFORE_IT:
             return
         size = self._now(effect, column, context)
         if column.on == "frame":
@@ -251,7 +252,7 @@ class KnownEffects:
         reference = dict(self._reference)
         start = reference.get("start", 0.0)
         time = self._times(moments)
-        if self._creeps:  # a load that nobody saw put on was put on an empty machine
+        if self._creeps and not past.recorded:  # a load that nobody saw put on was put on an empty machine
             moments = [replace(moments[0], payload=np.zeros(6), load="before"), *moments]
             put_on = max(time[-1] - 3600.0 * reference.get("hours", math.inf), time[0] - 3600.0 * UNSAID_H)
             time = np.concatenate([[min(2 * put_on - time[0], time[0])], time])
@@ -307,25 +308,27 @@ class KnownEffects:
         compliance = self._compliance(here)
         changed = any(a.load != b.load for a, b in pairwise(past.moments[-1:] + moments))
         if not self._looks_back:
-            return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], past.known or changed)
+            known = past.known or changed
+            return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], known, past.recorded)
         wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)
         everything = (*past.moments, *moments)
         since = moments[-1].time - 3600.0 * self._reference.get("hours", math.inf)
         late = next((k for k, m in enumerate(everything) if not m.time < since), len(everything) - 1)
         known = past.known or changed
-        return Past(everything[late:], wrenches[late:], chain[late:], compliance[late:], known)
+        return Past(everything[late:], wrenches[late:], chain[late:], compliance[late:], known, past.recorded)
 
     def past_of(self, recording: Recording) -> Past:
-        """A recording as the past of what is to come on the same machine."""
+        """A recording as the past of what is to come on the same machine, its loads under the same labels. What hung
+        there at its first visit had hung there for long, as a fit has it."""
         moments = [
             Moment(
                 recording.q[k], recording.approach[k], recording.wrench[k], float(recording.time[k]),
-                f"earlier {recording.load[k]}",
+                recording.load[k],
                 {p: float(t[k]) for p, t in recording.temperatures.items() if math.isfinite(t[k])},
             )
             for k in range(len(recording))
         ]  # fmt: skip
-        return self.remember(Past(), *moments)
+        return self.remember(Past(recorded=True), *moments)
 
     def loaded_for(self, now: Moment, seconds: float | None) -> Past:
         """A past that only says for how long the load has been on (None: nobody knows)."""

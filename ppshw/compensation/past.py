@@ -35,7 +35,8 @@ class Moment:
 class Past:
     """What went before a move, oldest first, with what the base model says of every moment: (M, …) as in Context.
 
-    known  whether it reaches back to the last change of load
+    known     whether it reaches back to the last change of load
+    recorded  whether it begins with a recording's first visit
     """
 
     moments: tuple[Moment, ...] = ()
@@ -43,6 +44,7 @@ class Past:
     chain: Array | None = None
     compliance: Array | None = None
     known: bool = False
+    recorded: bool = False
 
     def followed_by(self, wrenches: Array, chain: Array, compliance: Array) -> tuple[Array, Array, Array]:
         """The same of later moments, with those of this past before them."""

@@ -63,10 +63,12 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
         kept[f.columns(tried.candidates[f.best])] = f.carried
     before, after = held_out(space, taken[:, :, kept & False], prior[kept & False]), np.inf
     after = held_out(space, taken[:, :, kept], prior[kept]) if kept.any() else before
-    for f in found:  # with time alone
+    for f in found:
+        if f.carried or tried.candidates[f.best].covariates != ("time",):
+            continue
         mine = kept.copy()
-        mine[f.columns(tried.candidates[f.best])] = tried.candidates[f.best].covariates == ("time",)
-        if (mine != kept).any() and (better := held_out(space, taken[:, :, mine], prior[mine])) < NAMELESS_GAIN * after:
+        mine[f.columns(tried.candidates[f.best])] = True
+        if (better := held_out(space, taken[:, :, mine], prior[mine])) < NAMELESS_GAIN * after:
             f.carried, kept, after = True, mine, better
     beside = np.ones(taken.shape[2], dtype=bool)  # columns that stay in the fit
     corrections: list[tuple[_Left, Correction]] = []

@@ -41,7 +41,7 @@ def numbers_of(
     elif candidate.effect == "wrench_error" and candidate.columns[0].args.get("time") == "cosine":
         out = _wandering(c, candidate, values, covariance)
     elif candidate.effect == "periodic_transmission":
-        out = _wave(candidate, values, std)
+        out = _wave(candidate, values, covariance)
     else:
         out = _one_by_one(candidate, values, std)
     for name, value in candidate.shape.items():
@@ -130,13 +130,15 @@ def _peak_to_valley(functions: Array, values: Array, covariance: Array) -> tuple
 
 
 # --- what is said one by one ----------------------------------------------------------------------------------------
-def _wave(candidate: Candidate, values: Array, std: Array) -> Entries:
+def _wave(candidate: Candidate, values: Array, covariance: Array) -> Entries:
     unit = _unit(candidate.component)
-    amplitude = float(np.hypot(values[0], values[1]))
-    its_std = float(np.hypot(values[0] * std[0], values[1] * std[1]) / max(amplitude, 1e-30))
+    amplitude = max(float(np.hypot(values[0], values[1])), 1e-30)
+    along = values[:2] / amplitude
+    across = np.array([-along[1], along[0]])
+    spread = [float(np.sqrt(max(float(way @ covariance[:2, :2] @ way), 0.0))) for way in (along, across)]
     return {
-        "amplitude": _entry(amplitude, its_std, unit),
-        "phase": _entry(np.arctan2(values[1], values[0]), its_std / max(amplitude, 1e-30), "rad"),
+        "amplitude": _entry(amplitude, spread[0], unit),
+        "phase": _entry(np.arctan2(values[1], values[0]), spread[1] / amplitude, "rad"),
     }
 
 
@@ -151,7 +153,7 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
     units = [unit] * len(values)
     if candidate.effect == "backlash":
         names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
-        names[1:] = ["drag", "wear"][: len(names) - 1]
+        names[1:], factors[1:] = ["drag", "wear"][: len(names) - 1], -2.0  # of the gap, at the ends of the travel
         if rocks(candidate):
             across = COMPONENTS[candidate.columns[-1].component]
             names[1], factors[1], units[1] = f"rocking_{across}", -2.0, "m" if across.startswith("t") else "rad"
@@ -168,10 +170,12 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
         names = [f"{component}_per_kelvin" for component in COMPONENTS]
         units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]
     elif candidate.effect == "thermal_growth":
-        names = ["per_kelvin", "per_kelvin_and_half_travel"][: len(names)]
+        names = ["per_kelvin" + "_and_half_travel" * (c.function == "temperature_q") for c in candidate.columns]
+        if len(set(names)) < len(names):  # two thermometers
+            names = [f"{name}_{c.args['place']}" for name, c in zip(names, candidate.columns, strict=True)]
         units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
     elif candidate.effect == "friction_hysteresis":
-        names = ["lag", MORE_BY_LOAD][: len(values)]
+        names, factors = ["lag", MORE_BY_LOAD][: len(values)], -factors  # a joint that lags stays behind
     elif candidate.effect == "zero_shift":
         back = candidate.columns[-1].function == "settling"
         names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
@@ -185,6 +189,10 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
         names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
         units = [_per_load(unit, candidate.covariate)] * len(values)
+        if candidate.covariate == "load":  # in all directions, each by its own
+            ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
+            names = [f"compliance_{component}_by_{load}" for component, load in ways]
+            units = [_per_load(_unit(component), load) for component, load in ways]
     elif candidate.effect == "wrench_error":
         names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
         units = [_misread(column.args) for column in candidate.columns]
@@ -192,11 +200,13 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
         names = ["half_gap", "half_difference"][: len(values)]
     elif candidate.effect == "creep" and len(values) == len(COMPONENTS):
         load = WRENCH_COMPONENTS[candidate.columns[0].args["component"]]
-        names = [f"compliance_{component}" for component in COMPONENTS]
+        names, factors = [f"compliance_{component}" for component in COMPONENTS], -factors
         units = [_per_load("m" if component.startswith("t") else "rad", load) for component in COMPONENTS]
     elif candidate.effect == "creep":
         load = WRENCH_COMPONENTS[candidate.columns[0].component]
-        name, of = ("share", "1") if candidate.joint is None else ("compliance", _per_load(unit, load))
+        whole = candidate.columns[0].function == "creep"  # a share of the deflection of a link, or of all of them
+        name, of = ("share", "1") if whole else ("compliance", _per_load(unit, load))
+        factors = factors if whole else -factors  # what is laid is what has not come yet
         second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
         names, units = [name, second][: len(values)], [of] * len(values)
     return {
@@ -227,7 +237,7 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
 
 
 def _misread(args: Mapping[str, Any]) -> str:
-    """Unit of what a force sensor reads too little: a load, per hour or kelvin; a share of a reading, per load where it
+    """Unit of what a force sensor reads too much: a load, per hour or kelvin; a share of a reading, per load where it
     grows with it."""
     of, source = args["component"], args.get("source", -1)
     if "place" in args and (of < 0 or source == of):
@@ -237,7 +247,7 @@ def _misread(args: Mapping[str, Any]) -> str:
     unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
     if source < 0:
         return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit
-    if args.get("bent"):
+    if args.get("bent") and args["bent"] != "sided":
         return _per_load("1", WRENCH_COMPONENTS[source])
     return "1" if unit == by else _per_load(unit, WRENCH_COMPONENTS[source])
 

@@ -50,6 +50,11 @@ class Effect:
         return self.mimicked if self.mimicked.size else np.zeros((len(self.columns), count))
 
     @property
+    def of_instrument(self) -> bool:
+        """Whether it is an error of the instrument's readings, all of it, and no axis may follow it."""
+        return any(column.on == "points" for column in self.columns)
+
+    @property
     def places(self) -> list[str]:
         """The places whose temperature it goes by, each once."""
         return list(dict.fromkeys(str(c.args["place"]) for c in self.columns if c.args.get("place")))
@@ -102,10 +107,12 @@ def instrument_error(
     context = Context.of(model, theta, recording, measuring_in_base, dict(reference))
     context = replace(context, points=points[:, None])
     out = np.zeros((len(recording), 1, 3))
-    for effect in effects:
+    for effect in filter(lambda effect: effect.of_instrument, effects):
         for column, value in zip(effect.columns, effect.values, strict=True):
             moves_one = "target_shift" in (column.function, column.args.get("column", {}).get("function"))
-            if column.on == "points" and not moves_one:
+            if column.on == "frame":  # a scale about another place than the instrument's shifts all that it sees
+                out[:, 0, column.component] += value * column.value(context)
+            elif not moves_one:
                 out += value * column.evaluate(context).reshape(out.shape)
     return np.asarray(out[:, 0])
 

@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
+from ppshw.compensation.past import Moment
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import evaluate
 from ppshw.identification import identify
 from ppshw.machine import load_machine
-from ppshw.recording import Around, load_recording
+from ppshw.recording import Around, Recording, load_recording
+from ppshw.terms import Situation
 from ppshw.terms.effect import Effect
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, Context
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Load, Plant
 
@@ -326,6 +328,51 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     found = asked(knowing("tracker_scale", None, Column("points", "scale"), 1e-4))
     np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
     assert "an error of the instrument, not of the machine" in found.effects[0].why
+
+
+def test_nor_is_where_a_scale_that_is_about_another_place_shifts_all() -> None:
+    grows = Column("points", "scale", {"place": "rail"})
+    shifts = tuple(Column("frame", "temperature", {"place": "rail", "tau": 0.0}, 0, comp) for comp in range(3))
+    values = (2e-6, 2e-5, 0.0, 3e-5)
+    effect = Effect("tracker_scale", None, (grows, *shifts), values, (1e-7,) * 4, "by hand")
+    reference = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}
+    plain = asked(Compensator(base()[1]))
+    warm = Around(temperatures={"rail": 26.0})
+    found = asked(Compensator(replace(base()[1], effects=(effect,), reference=reference)), around=warm)
+    np.testing.assert_allclose(found.corrected, plain.corrected, atol=1e-9)
+    np.testing.assert_allclose(found.std, plain.std, rtol=1e-6)
+    assert not found.effects[0].taken_out
+
+
+@cache
+def measured() -> Recording:
+    with TemporaryDirectory() as folder:
+        csv = simulate_recording_csv(
+            base()[0], Path(folder) / "r.csv", 120, np.random.default_rng(1), "mixed", visits_per_load=5,
+            measurement_noise=False,
+        )  # fmt: skip
+        return load_recording(csv, load_machine(PPS))
+
+
+@pytest.mark.parametrize(("form", "tau"), [("exponential", 0.1), ("exponential", 1.6), ("log", 0.1), ("log", 1.6),
+                                            ("wrench", 0.4), ("total", 1.6), ("last", 0.1)])  # fmt: skip
+def test_creep_after_a_known_past_is_what_the_calibration_itself_predicts(form: str, tau: float) -> None:
+    calibration, recording = base()[1], measured()
+    column = Column("frame", "creeping", {"frame": 2, "component": 3, "tau": tau, "form": form}, 2, 3)
+    span = float(recording.time[-1] - recording.time[0]) / 3600
+    effect = Effect("creep", "vertical", (column,), (-2e-8,), (1e-9,), "by hand")
+    reference = {"start": float(recording.time[0]), "hours": span}
+    whole = Context.of(calibration.model, calibration.theta, recording, calibration.measuring_in_base, dict(reference))
+    known = Compensator(replace(calibration, effects=(effect,), reference=reference)).known
+    assert known is not None
+    for k in (60, 63, 119):
+        past = known.past_of(recording.subset(np.arange(k)))
+        time, load = float(recording.time[k]), recording.load[k]
+        now = Moment(recording.q[k], recording.approach[k], recording.wrench[k], time, load)
+        situation = Situation(recording.q[k : k + 1], recording.wrench[k : k + 1])
+        errors = known.errors(now, past, *calibration.model.errors(situation, calibration.theta))
+        fitted = -2e-8 * column.value(whole)
+        assert errors[0, 2, 3] == pytest.approx(fitted[k], rel=0.02, abs=0.02 * np.abs(fitted).max())
 
 
 def test_no_axis_is_driven_by_what_has_no_name() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -149,3 +150,37 @@ def test_what_the_library_has_one_value_of_has_no_spread(space: Workspace) -> No
                     (Column("frame", "step", {"visit_time": 1.0}, 1, 0),), {"time_h": 1.0})  # fmt: skip
     tried = Tried(space, [one], space.unit)
     assert spread_of(tried, 0, tried.said()[0]) == {}
+
+
+def test_the_phase_of_a_wave_is_as_unsure_as_it_may_turn(space: Workspace) -> None:
+    wave = next(k for k in library(space.context) if k.effect == "periodic_transmission" and len(k.columns) == 2)
+    said = numbers_of(space.context, wave, np.array([1e-4, 0.0]), np.diag([1e-6, 5e-6]) ** 2)
+    assert said["amplitude"]["std"] == pytest.approx(1e-6)
+    assert said["phase"]["std"] == pytest.approx(0.05)
+
+
+def test_names_and_units_say_what_each_number_is(space: Workspace) -> None:
+    def said(name: str, columns: tuple[Column, ...], component: str | None, covariate: str) -> Mapping[str, object]:
+        candidate = Candidate(name, "vertical", "vertical", component, covariate, columns, {})
+        numbers = numbers_of(space.context, candidate, np.ones(len(columns)), np.eye(len(columns)))
+        return {key: (entry["value"], entry["unit"]) for key, entry in numbers.items()}
+
+    def by(function: str, moves: int, **args: object) -> Column:
+        return Column("frame", function, args, 2, moves)
+
+    sided = Column("frames", "sensor_error", {"component": 2, "source": 2, "bent": "sided"})
+    assert said("wrench_error", (sided,), None, "Fz") == {"Fz_by_Fz_sided": (1.0, "1")}
+    loads = (by("load", 1, frame=2, component=1), by("load", 3, frame=2, component=3))
+    assert said("missing_compliance", loads, None, "load") == {
+        "compliance_ty_by_Fy": (1.0, "m/N"), "compliance_rx_by_Mx": (1.0, "rad/(N m)"),
+    }  # fmt: skip
+    creeps = (Column("frames", "creep", {"tau": 0.1, "form": "log", "frame": 2}),)
+    assert said("creep", creeps, None, "since_load_change") == {"share": (1.0, "1")}
+    bends = (by("creeping", 3, frame=2, component=3, tau=0.1, form="log"),)
+    assert said("creep", bends, "rx", "since_load_change") == {"compliance": (-1.0, "rad/(N m)")}
+    warm = tuple(by("temperature", 1, place=place, tau=0.0) for place in ("rail", "hall"))
+    assert said("thermal_growth", warm, "ty", "temp_rail_C") == {
+        "per_kelvin_rail": (1.0, "m/K"), "per_kelvin_hall": (1.0, "m/K"),
+    }  # fmt: skip
+    gap = (by("approach", 1, joint=1), by("approach_q", 1, joint=1))
+    assert said("backlash", gap, "ty", "approach_vertical") == {"gap": (-2.0, "m"), "drag": (-2.0, "m")}
