@@ -375,6 +375,17 @@ def test_creep_after_a_known_past_is_what_the_calibration_itself_predicts(form: 
         assert errors[0, 2, 3] == pytest.approx(fitted[k], rel=0.02, abs=0.02 * np.abs(fitted).max())
 
 
+@pytest.mark.parametrize("timed", [True, False])
+def test_where_only_one_of_two_recordings_has_times_the_later_one_goes_on_from_the_end(timed: bool) -> None:
+    calibration, recording = base()[1], measured()
+    untimed = replace(recording, time=np.full(len(recording), np.nan))
+    reference = {"start": 0.0 if timed else float(recording.time[0]), "hours": HOURS}
+    later = recording if timed else untimed
+    hours = Context.of(calibration.model, calibration.theta, later, calibration.measuring_in_base, reference).hours
+    assert hours[0] == HOURS
+    assert 0 < hours[-1] - HOURS < 48
+
+
 def test_no_axis_is_driven_by_what_has_no_name() -> None:
     """It is left as it was on average, as the base model would have had it."""
     bump = Column("frame", "covariate", {"name": "q_lateral", "knot": 2, "count": 5}, VERTICAL + 1, TY)

@@ -17,6 +17,7 @@ from ppshw.terms.elastic import Compliance
 from ppshw.terms.history import hours_since
 
 Array = NDArray[np.float64]
+UNTIMED = 0.0  # start of a recording without times
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,14 @@ class Context:
         points = np.einsum("nij,pj->npi", tips[:, :3, :3], targets) + tips[:, None, :3, 3]
         jacobian = point_jacobian(chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
         reference = {} if reference is None else reference
-        first = float(recording.time[0])
-        start = reference.setdefault("start", first if np.isfinite(first) else 0.0)
+        first = float(recording.time[0]) if np.isfinite(recording.time).all() else UNTIMED
+        start = reference.setdefault("start", first)
+        hours = hours_since(start, recording.time)
+        if (start == UNTIMED) != (first == UNTIMED):  # nobody knows how long after: as if it went on from there
+            hours = reference.get("hours", 0.0) + hours_since(first, recording.time)
         return cls(
             model.machine, recording, jacobian, wrenches, points, tips, chain, compliances(model, theta, situation),
-            measuring_in_base, hours_since(start, recording.time), reference, model,
+            measuring_in_base, hours, reference, model,
         )  # fmt: skip
 
     def frozen(self, key: str, value: float) -> float:
