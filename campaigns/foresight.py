@@ -20,7 +20,7 @@ from campaigns.plan import Plan
 from campaigns.script import LoadCase
 from ppshw.diagnosis.evidence import Name, Tried
 from ppshw.diagnosis.library import library
-from ppshw.diagnosis.visibility import Sight, row, sights, thinned
+from ppshw.diagnosis.visibility import NEVER, Sight, row, sights, thinned
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.identification.joint import Estimate
 from ppshw.kinematics import point_positions
@@ -39,7 +39,6 @@ ASSUMED = "one thermometer, air that swings by 2 K in 4 hours"
 AT_LEAST, FAR_OUT, HEAVY = 450, 0.3, 0.05
 # A campaign is blind to an effect when it would miss it at so many times the stated repeatability.
 BLIND_BEYOND = 2.0
-NEVER = 1.0  # a size [m] that is no answer
 MOST_LINES = 8
 # What has a joint's name, and what has none; the rest depends on how the machine is built.
 OF_EVERY_JOINT = (
@@ -91,9 +90,9 @@ class Foresight:
         for entry in found:
             size = entry["detectable_mm"]
             if size is not None:
-                ends = [x if x <= 1e3 * NEVER else None for x in entry["detectable_range_mm"]]
+                ends = [x if x < 1e3 * NEVER else None for x in entry["detectable_range_mm"]]
                 entry["detectable_range_mm"] = None if ends == [None, None] else ends
-            if size is not None and size > 1e3 * NEVER:
+            if size is not None and size >= 1e3 * NEVER:
                 entry["detectable_mm"] = size = None
             entry["blind"] = size is None or size > 1e3 * BLIND_BEYOND * self.unit
             entry["no_campaign"] = (entry["effect"], entry["joint"]) in self.never

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 MOST_TURNS = 3.0  # of a joint before its limits look like degrees
+MOST_LONG, MOST_REPEATABILITY = 100.0, 0.01  # m, before lengths look like millimetres
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -198,7 +200,21 @@ def doubts(machine: Machine) -> list[str]:
         low, high = joint.limits.lower, joint.limits.upper
         if (turns := (high - low) / (2 * math.pi)) > MOST_TURNS:
             said.append(f"joint '{joint.name}': {low:g} … {high:g} rad is {turns:.1f} turns; are these degrees?")
+    said += [f"{what} of {size:g} m; are these millimetres?" for what, size in _lengths(machine) if size > MOST_LONG]
+    if machine.repeatability is not None and machine.repeatability > MOST_REPEATABILITY:
+        said.append(f"a repeatability of {machine.repeatability:g} m; are these millimetres?")
     return said
+
+
+def _lengths(machine: Machine) -> Iterator[tuple[str, float]]:
+    """What a machine file gives in metres."""
+    for joint in machine.joints:
+        yield f"joint '{joint.name}': an origin", float(np.abs(joint.origin[:3, 3]).max())
+        yield f"joint '{joint.name}': a centre of mass", float(np.abs(joint.com).max())
+        if joint.prismatic and joint.limits is not None:
+            yield f"joint '{joint.name}': a travel", joint.limits.upper - joint.limits.lower
+    for name, place in {**machine.targets, **machine.points}.items():
+        yield f"tip: a place of '{name}'", float(np.abs(place).max())
 
 
 def _joints(top: Section) -> tuple[Joint, ...]:
@@ -255,7 +271,10 @@ def _origin(section: Section) -> Array:
 
 
 def _placement(found: Section) -> Array:
-    out = from_xyz_rpy(found.vector("xyz", 3, default=(0, 0, 0)), found.vector("rpy", 3, default=(0, 0, 0)))
+    turned = found.vector("rpy", 3, default=(0, 0, 0))
+    if (widest := float(np.abs(turned).max())) > 2 * math.pi:
+        found.fail(f"'{found.path('rpy')}': {widest:g} rad is more than a turn; are these degrees?", "rpy")
+    out = from_xyz_rpy(found.vector("xyz", 3, default=(0, 0, 0)), turned)
     found.done()
     return out
 

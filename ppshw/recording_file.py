@@ -197,7 +197,7 @@ class RecordingFile:
             with _transaction(self._db):
                 yield
         except sqlite3.Error as exc:
-            raise RunFailed(f"{self.path}: cannot be written ({exc}); what was in it before is there") from None
+            raise RunFailed(f"{self.path}: cannot be written ({exc}); what was in it before is there") from exc
 
     def done(self) -> set[int]:
         """Plan indices that are measured."""

@@ -47,7 +47,8 @@ class Section:
         for key, node in self._nodes.items():
             if key not in self._read:
                 known = ", ".join(sorted(self._read))
-                self._fail(node, f"unknown key '{self._path(key)}' (known here: {known})")
+                comma = "; a decimal comma?" if key.isdigit() else ""
+                self._fail(node, f"unknown key '{self._path(key)}' (known here: {known}){comma}")
 
     # --- scalars -------------------------------------------------------------------------------------------
     def number(

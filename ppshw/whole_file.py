@@ -3,14 +3,19 @@ hash. What is no file (a pipe, /dev/stdout) stays what it is and gets what was w
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import gettempdir
 
 from ppshw.errors import BadInput
+
+# What is wrong with the place that was given, not with the disk.
+BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG,
+            errno.ELOOP, errno.EROFS, errno.EINVAL}  # fmt: skip
 
 
 @contextmanager
@@ -35,7 +40,8 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
             exc.filename = str(path)
         raise
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # of what could not be written the first error says why
+            partial.unlink(missing_ok=True)
 
 
 def _is_no_file(path: Path) -> bool:
@@ -46,11 +52,14 @@ def _is_no_file(path: Path) -> bool:
 
 
 def write_text(path: Path, text: str, error: type[BadInput] = BadInput) -> None:
-    """Write a text. Raises `error` with one line where the file cannot be written; what was there before stays."""
+    """Write a text. Raises `error` with one line where the place cannot be written to, OSError where writing failed (a
+    full disk); what was there before stays."""
     try:
         with written_whole(path) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as exc:
+        if exc.errno not in BAD_PATH:
+            raise
         raise error(f"{path}: cannot be written ({exc.strerror or exc})") from None
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ppshw.process  # noqa: F401  # isort: skip  before numpy comes in with the rest
 
-import errno
 import logging
 import os
 import re
@@ -20,10 +19,8 @@ from contextlib import suppress
 
 from ppshw.cli.parser import build_parser
 from ppshw.errors import PpshwError
+from ppshw.whole_file import BAD_PATH
 
-# What the system says of a path that the user gave; any other OSError is a run that failed.
-_BAD_PATH = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG,
-             errno.ELOOP, errno.EROFS, errno.EINVAL}  # fmt: skip
 _NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
 
 
@@ -45,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except OSError as error:
         message = f"{error.filename or 'file'}: {error.strerror or error}"
-        return _complain(message, 2 if error.errno in _BAD_PATH else 1)
+        return _complain(message, 2 if error.errno in BAD_PATH else 1)
     except sqlite3.Error as error:
         return _complain(f"recording: {error}", 1)
     except Exception as error:

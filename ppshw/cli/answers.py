@@ -92,6 +92,14 @@ def new_file(path: str, *inputs: str) -> Path:
     return out
 
 
+def new_recording(path: str, *inputs: str) -> Path:
+    """Where a recording may go. Raises BadInput like `new_file`."""
+    out = new_file(path, *inputs)
+    if out.suffix.lower() == ".csv":
+        raise BadInput(f"{out}: a recording is a database, expected a name in .db; export makes a CSV of it")
+    return out
+
+
 def new_files(paths: Sequence[str], *inputs: str) -> None:
     """Where several answers may go, each into a file of its own. Raises BadInput like `new_file`."""
     taken: set[Path] = set()

@@ -114,7 +114,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     from campaigns.script import load_script
     from ppshw.recording import load_recording
 
-    effects = tuple(a.to_separate.split(","))
+    effects = tuple(name.strip() for name in a.to_separate.split(","))
     if len(effects) != 2 or effects[0] == effects[1]:
         raise BadInput(f"--to-separate {a.to_separate}: expected two different effects and a comma between them")
     if (a.campaign is None) == (a.after is None):

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from ppshw import __version__
-from ppshw.cli.answers import READ_PER_S, new_file, say
+from ppshw.cli.answers import READ_PER_S, new_file, new_recording, say
 from ppshw.cli.arguments import machine_of
-from ppshw.errors import BadInput
+from ppshw.errors import BadInput, RunFailed
 from ppshw.progress import Bar
 from ppshw.whole_file import written_whole
 
@@ -19,7 +19,7 @@ def import_(a: argparse.Namespace) -> None:
     from ppshw.recording_file import RecordingFile
 
     machine = machine_of(a)
-    out = new_file(a.out, a.csv, machine.file)
+    out = new_recording(a.out, a.csv, machine.file)
     if out.exists():
         raise BadInput(f"{out}: exists already, expected a new file")
     with Bar() as bar, bar.expect("import", Path(a.csv).stat().st_size / READ_PER_S if Path(a.csv).is_file() else 0.0):
@@ -35,7 +35,10 @@ def import_(a: argparse.Namespace) -> None:
         "ppshw": __version__,
     }
     with written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
-        file.append_rows(table.rows)
+        try:
+            file.append_rows(table.rows)
+        except RunFailed as exc:
+            raise RunFailed(f"{out}: cannot be written ({exc.__cause__})") from None
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
     say(a, answer, f"{a.out}: {len(recording)} visits, {readings} readings")

@@ -12,6 +12,8 @@ from ppshw.cli.arguments import machine_of, numbers, pairs
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
 
+MOST_TURNED = 2 * np.pi  # an angle of a pose [rad], before it looks like degrees
+
 
 def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
     """What is known of the move beyond its end and its load: effects that a diagnosis found may depend on it."""
@@ -64,6 +66,8 @@ def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dic
         setpoints = compensator.for_joints(numbers(a.joints, machine.n, "--joints"), payload, a.point, given)
     else:
         pose = numbers(a.pose, 6, "--pose")
+        if (widest := np.abs(pose[3:]).max()) > MOST_TURNED:
+            raise BadInput(f"--pose: an angle of {widest:g} rad is more than a turn; are these degrees?")
         near = given.start if a.near is None else numbers(a.near, machine.n, "--near")
         setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near, given)
     names = machine.joint_names

@@ -9,7 +9,7 @@ from itertools import zip_longest
 from shutil import get_terminal_size
 from typing import Any
 
-from ppshw.cli.answers import new_file, say, warn
+from ppshw.cli.answers import new_recording, say, warn
 from ppshw.cli.setpoints import final_approach
 from ppshw.errors import HardwareError
 from ppshw.progress import Bar, folded
@@ -29,7 +29,7 @@ def run(a: argparse.Namespace) -> None:
     found = plan_campaign(load_script(a.campaign), site.machine)
     check_moves(found, site)
     correct, label, warnings = _setpoint_map(a, site, found)
-    out = new_file(a.out, a.site, site.machine.file)
+    out = new_recording(a.out, a.site, site.machine.file)
     with only_writer(out), open_bench(site) as bench, Bar() as bar:
         result = run_campaign(
             found, bench, out, site.make_operator(),

@@ -34,6 +34,7 @@ NOISE_DRAWS = 199
 LOOKED_AT = (4.0, 6.0)
 # √λ needed for a form that the base model takes whole: a middling figure, as nothing can be computed for it.
 SEEN_AT = 6.0
+NEVER = 1.0  # a size [m] that is no answer
 # Names are aliases when so much of what one shows is what another can show as well.
 ALIAS = 0.9
 # √λ between two of them at which half of the recordings would say which (docs/prove.md, half power).
@@ -89,12 +90,13 @@ def visibility(tried: Tried) -> list[dict[str, Any]]:
 
 
 def row(sight: Sight) -> dict[str, Any]:
-    """A sight in the contract's words; millimetres."""
+    """A sight in the contract's words; millimetres, NEVER where no size below would show."""
+    sizes = [1e3 * min(x if sight.visible else NEVER, NEVER) for x in (sight.detectable, *sight.detectables)]
     return {
         "effect": sight.name[0], "joint": sight.name[1], "share": sight.share,
-        "detectable_mm": sight.detectable * 1e3,
+        "detectable_mm": sizes[0],
         "aliases": sorted({effect for effect, _ in sight.aliases if effect != sight.name[0]}),
-        "share_range": list(sight.shares), "detectable_range_mm": [x * 1e3 for x in sight.detectables],
+        "share_range": list(sight.shares), "detectable_range_mm": sizes[1:],
     }  # fmt: skip
 
 

@@ -28,6 +28,7 @@ GROSS, GROSS_M = 20.0, 0.05
 # A wrench off by 20 times the median of its load label, and more than a sensor with nothing on it reads, is misread:
 # single rows of many, or the label is of several loads.
 GROSS_N, GROSS_NM = 20.0, 5.0
+KELVIN_C = 200.0  # no machine is measured so warm
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 ROUNDS = 20
 BLOCK = 4096
@@ -104,6 +105,9 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"{len(recording.copies)} visits read the same as an earlier one to the last digit "
             f"({listed(recording.copies)}): are these rows copies?"
         )
+    for place, values in recording.temperatures.items():
+        if np.isfinite(values).any() and (middle := float(np.nanmedian(values))) > KELVIN_C:
+            said.append(f"temp_{place}_C reads {middle:.0f} °C; are these kelvin?")
     if len(rows := np.flatnonzero(misread(machine, recording))):
         loads = ", ".join(dict.fromkeys(f"'{recording.load[k]}'" for k in rows))
         said.append(

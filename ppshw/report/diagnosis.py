@@ -17,7 +17,7 @@ from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.replicas import Compared, of_space
-from ppshw.diagnosis.visibility import TOLD_APART
+from ppshw.diagnosis.visibility import NEVER, TOLD_APART
 from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
@@ -213,7 +213,9 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
         r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
     ]
     for r in seen[:1]:
-        rows.append(("visible share", f"{100 * r['share']:.1f} %; found from {r['detectable_mm']:.3f} mm rms on"))
+        size = r["detectable_mm"]
+        found = f"found from {size:.3f} mm rms on" if size < 1e3 * NEVER else "not found at any size"
+        rows.append(("visible share", f"{100 * r['share']:.1f} %; {found}"))
     return rows
 
 

@@ -97,8 +97,9 @@ def radial_distribution(errors: Array, title: str, what: str, colour: str = AFTE
         note = f"{len(size)} {what}, in bars (left axis) and as share below (line, right axis)."
         if beyond := int((size > right).sum()):
             note += f" {beyond} lie beyond the right edge."
-        if 1 < resting <= 5:
-            note += f" The 98.6 % figure rests on the {resting} largest of them."
+        if resting <= 5:
+            largest = f"the {resting} largest" if resting > 1 else "hardly more than the largest"
+            note += f" The 98.6 % figure rests on {largest} of them."
         return c.picture(title, alt, note)
 
 
