@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -128,15 +129,17 @@ class Foresight:
         return f" of {', '.join('the base' if j is None else j for j in joints)}"
 
     def table(self) -> list[str]:
-        """Every effect and joint, in lines."""
-        lines = [f"{'effect':22}{'joint':16}{'share':>8}{'detectable':>13}  not to be told from"]
+        """Every effect and joint, in lines of 80."""
+        lines = [f"{'effect':22}{'joint':14}{'share':>8}{'detectable':>12}  not to be told from"]
         for entry in sorted(self.rows, key=lambda e: e["effect"]):
             size = entry["detectable_mm"]
             said = "never" if size is None else f"{size:.3f} mm"
-            lines.append(
-                f"{entry['effect']:22}{entry['joint'] or '-':16}{100 * entry['share']:7.1f}%{said:>13}"
-                f"{'!' if entry['blind'] else ' '} {', '.join(entry['aliases'])}"
+            head = (
+                f"{entry['effect']:22}{entry['joint'] or '-':14}{100 * entry['share']:7.1f}%{said:>12}"
+                f"{'!' if entry['blind'] else ' '} "
             )
+            aliases = wrap(", ".join(entry["aliases"]), max(22, 80 - len(head))) or [""]
+            lines += [head + aliases[0], *(" " * len(head) + more for more in aliases[1:])]
         return lines
 
 

@@ -52,7 +52,8 @@ def build_parser() -> argparse.ArgumentParser:
         p.add_argument("--machine", required=True, metavar="M", help="machine file, or pps or arm6, which come with it")
 
     p = add("demo", demo, "the main job on simulated hardware, from campaign to compensated verification")
-    p.add_argument("--out", default="demo-out", metavar="DIR", help="where results go (default: demo-out)")
+    p.add_argument("--out", default="demo-out", metavar="DIR",
+                   help="where results go, in place of an earlier demo's (default: demo-out)")  # fmt: skip
     p.add_argument("--seed", type=seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--machine", default="pps", metavar="M", help="machine file (default: pps, the positioner)")
     p.add_argument("--method", choices=("joint", "paper"), default="joint", help="identification (default: joint)")

@@ -88,7 +88,7 @@ def radial_distribution(errors: Array, title: str, what: str, colour: str = AFTE
             share.axvline(TOLERANCE_MM, color=INK, lw=1.0)
             inside = 0.8 * right < TOLERANCE_MM
             share.annotate(f"{TOLERANCE_MM:g} mm", (TOLERANCE_MM, 22), (-4 if inside else 4, 0), color=INK, fontsize=9,
-                           textcoords="offset points", ha="right" if inside else "left")  # fmt: skip
+                           textcoords="offset points", ha="right" if inside else "left", bbox=CLEAR)  # fmt: skip
         alt = (
             f"Histogram and cumulative share of the radial error of {len(size)} {what}: median {median:.3f} mm, "
             f"98.6 % below {mark:.3f} mm, largest {size[-1]:.3f} mm."

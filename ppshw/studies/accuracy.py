@@ -148,11 +148,16 @@ def _draw(rows: Rows, path: Path, x: str, label: str, name: Any, paper: list[tup
     axes.text(0.99, 0.5, "specification", transform=axes.get_yaxis_transform(), ha="right", va="bottom", fontsize=8)
     if x == "visits":
         axes.set_xscale("log")
-        ticks = sorted({row[x] for row in rows if row.get("plan") == "random"})
+        ticks = sorted({row[x] for row in rows if row.get("plan") == "random"} | {int(visits) for visits, _ in paper})
         axes.set_xticks(ticks, [str(t) for t in ticks])
         axes.minorticks_off()
     axes.set(xlabel=label, ylabel="98.6 % of the residual at the treatment point [mm]")
-    axes.set_ylim(0.0, max(0.8, 1.1 * max(row["98.6 %"] for row in rows if row["estimate"] == "joint estimate")))
+    top = max(0.8, 1.1 * max(row["98.6 %"] for row in rows if row["estimate"] == "joint estimate"))
+    axes.set_ylim(0.0, top)
+    for row in (row for row in rows if row["98.6 %"] > top):
+        colour = COLOURS[row["plan"]] if "plan" in row else BY_METHOD[row["estimate"]]
+        axes.annotate(f"{row['98.6 %']:.1f} ↑", (row[x], top), (0, -10), textcoords="offset points", ha="center",
+                      fontsize=8, color=colour)  # fmt: skip
     axes.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 
