@@ -13,6 +13,7 @@ import itertools
 import numpy as np
 
 from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.by_position import of_two
 from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
 from ppshw.diagnosis.library.lost_motion import winds_up
 from ppshw.diagnosis.library.sampled import LAGS_H, presses
@@ -125,7 +126,8 @@ def _coupling(c: Context, k: Candidate) -> list[Column]:
     a, b = (c.machine.joint_names.index(name.removeprefix("q_")) for name in k.covariates)
     # up to the sixth order, and waves of one joint times the other's position
     powers = [(i, j) for i in range(9) for j in range(1, 9) if i + j <= 6 or min(i, j) <= 1]
-    return [_on(k, "pair", a=a, power_a=i, b=b, power_b=j) for i, j in powers]
+    found = [of_two(a, i, b, j) for i, j in powers]
+    return [_on(k, function, **args) for function, args in found]
 
 
 def _creep(c: Context, k: Candidate) -> list[Column]:

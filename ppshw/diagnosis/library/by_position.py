@@ -16,8 +16,16 @@ SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
-# Powers of polynomials in two positions, to the ninth order: five half waves of one where there are four of the other.
+# Half waves over two joints' travels, nine of both together: five of one where there are four of the other.
+STRAIGHT = 3  # up to this order both together polynomials, beyond it cosines of as many half waves
 FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
+
+
+def of_two(a: int, i: int, b: int, j: int) -> tuple[str, dict[str, int]]:
+    """Function and arguments of two joints' positions: polynomials of low order, waves of higher."""
+    if i + j <= STRAIGHT:
+        return "pair", {"a": a, "power_a": i, "b": b, "power_b": j}
+    return "pair_waves", {"a": a, "half_a": i, "b": b, "half_b": j}
 
 
 def periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candidate]:
@@ -74,8 +82,7 @@ def coupling(c: Context) -> Iterator[Candidate]:
                     (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),
                 ):  # fmt: skip
                     columns = tuple(
-                        Column("frame", "pair", {"a": a, "power_a": i, "b": b, "power_b": j}, a + 1, comp)
-                        for i, j in powers
+                        Column("frame", *of_two(a, i, b, j), a + 1, comp) for i, j in powers
                     )
                     yield Candidate(
                         "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", columns, {}, share,

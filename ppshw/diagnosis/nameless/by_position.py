@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ppshw.diagnosis.library.by_position import FINELY_TWO
+from ppshw.diagnosis.library.by_position import FINELY_TWO, of_two
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import moving_joints, own_component
 from ppshw.diagnosis.nameless.rival import half_waves, rival, smooth_pair
@@ -47,11 +47,10 @@ def of_two_positions(c: Context) -> Iterator[Candidate]:
         for comp in range(6):
             names = (f"q_{one}", f"q_{other}")
             yield rival(c, k + 1, comp, names, [
-                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": 1}, k + 1, comp) for i in range(7)
+                Column("frame", *of_two(k, i, m, 1), k + 1, comp) for i in range(7)
             ])  # fmt: skip
             yield rival(c, k + 1, comp, names, [
-                Column("frame", "pair", {"a": k, "power_a": i, "b": m, "power_b": j}, k + 1, comp)
-                for i, j in FINELY_TWO
+                Column("frame", *of_two(k, i, m, j), k + 1, comp) for i, j in FINELY_TWO
             ])  # fmt: skip
             for least in OCTAVES[:2]:
                 in_proportion = half_waves(c, k, comp, range(2 * least, 4 * least, 2), "wave_q", by=m)

@@ -98,6 +98,13 @@ def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
     return c.legendre(a, power_a) * c.legendre(b, power_b)
 
 
+def pair_waves(c: Context, a: int, half_a: int, b: int, half_b: int) -> Array:
+    """Cosines of so many half waves over the travels of two joints, multiplied: in a corner of both travels they are no
+    larger than elsewhere, where polynomials of high order are many times so, and beyond they stay as they are."""
+    u = [np.clip(c.u(k), -1.0, 1.0) for k in (a, b)]
+    return np.asarray(np.cos(half_a * np.pi / 2 * (u[0] + 1)) * np.cos(half_b * np.pi / 2 * (u[1] + 1)))
+
+
 def product(c: Context, joints: Sequence[int]) -> Array:
     """Positions of several joints, −1 … 1 each, multiplied."""
     return np.asarray(np.prod([c.u(k) for k in joints], axis=0))

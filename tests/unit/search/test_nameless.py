@@ -103,6 +103,22 @@ def test_a_coupling_by_waves_keeps_its_name_beside_any_function_of_the_two(space
     assert [f.name[0] for f in found] == ["cross_coupling"]
 
 
+def test_a_coupling_of_high_order_says_no_more_in_a_corner_of_both_travels_than_elsewhere(space: Workspace) -> None:
+    """Of polynomials each is one there, and several times its rms."""
+    q = space.recording.q.copy()
+    ends = np.array([space.recording.q.max(axis=0), 1.1 * space.recording.q.max(axis=0)])
+    q[:2] = ends
+    there = replace(space.context, recording=replace(space.recording, q=q))
+    finest = max((k for k in library(space.context) if k.effect == "cross_coupling"), key=lambda k: len(k.columns))
+    assert len(finest.columns) > 30
+    for column in finest.columns:
+        here, values = column.value(space.context), column.value(there)
+        high = int(column.args.get("half_a", 0)) + int(column.args.get("half_b", 0))
+        if high:
+            assert values[0] == pytest.approx(values[1])
+            assert abs(values[0]) < 4 * np.sqrt((here**2).mean())
+
+
 @pytest.mark.parametrize("load", ["Fz", "Mx"])
 def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load(space: Workspace, load: str) -> None:
     """Each reflector moves its own way, in proportion to what the sensor read."""
