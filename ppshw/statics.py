@@ -14,6 +14,12 @@ from ppshw.machine import Machine
 Array = NDArray[np.float64]
 
 
+def gravity_in_sensor(machine: Machine, chain: Array) -> Array:
+    """(N, 3) gravity in the force sensor's frame [m/s²], of chains (N, n+1, 4, 4)."""
+    sensor = chain[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
+    return np.asarray(np.einsum("nji,j->ni", sensor, machine.gravity))
+
+
 def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array | None = None) -> Array:
     """Wrenches W_{i,i} on frames F_0 … F_n, each at its own origin and in its own axes.
 

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from ppshw.evaluation import by_visit
 from ppshw.identification.joint import estimate
-from ppshw.identification.plausible import is_another_machine, misfit, refuse_another_machine
+from ppshw.identification.plausible import LOADED_N, LOADED_NM, is_another_machine, misfit, refuse_another_machine
 from ppshw.identification.start import to_base
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import frames, point_positions
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Recording
+from ppshw.statics import gravity_in_sensor
 from ppshw.terms import Situation
 from ppshw.terms.history import payloads
 
@@ -39,9 +40,6 @@ GROSS_WRENCH = 0.3
 LEVER_M = 20.0
 MOST_KN, LEAST_N = 5.0, 10.0
 ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, whatever a sensor's zero adds [rad]
-# What a sensor may read with nothing on it, by its zero and its noise, says nothing of signs and units: ours, 2 kg and
-# those a quarter of a metre off.
-LOADED_N, LOADED_NM = 20.0, 5.0
 # With the moments' right sign the base model, identified from half of so many visits in blocks, leaves less of the
 # other half: in 34 recordings of another author the other one left 1.02 to 6.3 times as much, in 29 of them 1.04 and
 # more. (Of the visits that it was identified from it may leave less with the wrong one: 0.89 times as much beside a
@@ -140,7 +138,7 @@ def doubts_of_gravity(machine: Machine, recording: Recording) -> list[str]:
     with a load; up or down is a matter of sign. Nobody can tell which of the two to set right."""
     if not _has(recording, FORCES) or not _loaded(recording, FORCES, LOADED_N):
         return []
-    g, force = _gravity(machine, recording), recording.wrench[:, :3]
+    g, force = gravity_in_sensor(machine, frames(machine, recording.q)), recording.wrench[:, :3]
     size = np.linalg.norm(force, axis=1)
     loaded = size > max(LOADED_N, 0.3 * size.max())
     along = np.abs((force * g).sum(axis=1)[loaded]) / np.maximum(size * np.linalg.norm(g, axis=1), 1e-30)[loaded]
@@ -252,7 +250,7 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
     loaded = _loaded(recording, FORCES, LOADED_N) or _loaded(recording, MOMENTS, LOADED_NM)
     if not _has(recording, range(6)) or not loaded:
         return
-    g = _gravity(machine, recording)
+    g = gravity_in_sensor(machine, frames(machine, recording.q))
     before = _unlike_a_payload(recording, recording.wrench, g)
     if before < GROSS_WRENCH:
         return
@@ -274,7 +272,7 @@ def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mist
     That is said of the whole force: the part along gravity is small where the machine file has another gravity."""
     if not _has(recording, FORCES) or not _loaded(recording, MOMENTS, LOADED_NM):
         return
-    g = _gravity(machine, recording)
+    g = gravity_in_sensor(machine, frames(machine, recording.q))
     held = payloads(recording.wrench, recording.load, g)
     size = np.linalg.norm(recording.wrench[:, MOMENTS], axis=1)
     heavy = size > 0.1 * size.max()
@@ -310,12 +308,6 @@ def _has(recording: Recording, columns: Sequence[int]) -> bool:
 def _loaded(recording: Recording, columns: Sequence[int], least: float) -> bool:
     """Whether forces or moments are ever those of a load, and no sensor's zero [N, N·m]."""
     return bool(recording.has_wrench and np.linalg.norm(recording.wrench[:, list(columns)], axis=1).max() > least)
-
-
-def _gravity(machine: Machine, recording: Recording) -> Array:
-    """(N, 3) of it in the sensor's frame [m/s²]."""
-    sensor = frames(machine, recording.q)[:, -1] @ machine.sensor_in_link
-    return np.asarray(np.einsum("nji,j->ni", sensor[:, :3, :3], machine.gravity))
 
 
 def _times(recording: Recording, columns: Sequence[int], factor: float) -> Recording:

@@ -164,7 +164,7 @@ def _too_many(distance: Array, freedom: Array) -> Mask:
     may well be."""
     count = len(distance)
     nu, _ = _tails(distance, freedom)
-    scale = float(np.median(distance / freedom)) / float(f_distribution.median(np.median(freedom), nu))
+    scale = _scale_of_tails(distance, freedom, nu)
     tail = np.asarray(f_distribution.sf(distance / (scale * freedom), freedom, nu), dtype=float)
     order = np.sort(tail)[: max(2, count // 10)]
     by_chance = np.asarray(binom.sf(np.arange(len(order)), count, order)) * len(order)
@@ -202,8 +202,13 @@ def _tails(distance: Array, freedom: Array) -> tuple[float, float]:
 
 def _beyond(distance: Array, freedom: Array, nu: float) -> Array:
     """(V,) squared distances that noise of such tails reaches in one of a thousand recordings."""
-    scale = float(np.median(distance / freedom)) / f_distribution.median(np.median(freedom), nu)
+    scale = _scale_of_tails(distance, freedom, nu)
     return np.asarray(scale * freedom * f_distribution.isf(GROSS / len(distance), freedom, nu))
+
+
+def _scale_of_tails(distance: Array, freedom: Array, nu: float) -> float:
+    """Of squared distances (V,) whose mean over the freedom is F distributed, by the middle one."""
+    return float(np.median(distance / freedom) / f_distribution.median(np.median(freedom), nu))
 
 
 def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> GrossErrors:

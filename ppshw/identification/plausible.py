@@ -17,6 +17,7 @@ from ppshw.kinematics import frames, point_positions
 from ppshw.machine import Machine
 from ppshw.quantities import distance
 from ppshw.recording import Recording, listed
+from ppshw.statics import gravity_in_sensor
 from ppshw.terms.history import payloads
 from ppshw.transforms import fit_rigid
 
@@ -25,9 +26,11 @@ Array = NDArray[np.float64]
 # units; a reading off by 20 times the median and more than 50 mm is no error of a machine. Both are our judgement.
 ANOTHER_MACHINE, ANOTHER_MACHINE_M = 0.1, 0.1
 GROSS, GROSS_M = 20.0, 0.05
-# A wrench off by 20 times the median of its load label, and more than a sensor with nothing on it reads, is misread:
-# single rows of many, or the label is of several loads.
-GROSS_N, GROSS_NM = 20.0, 5.0
+# What a sensor may read with nothing on it, by its zero and its noise, says nothing of signs and units: ours, 2 kg and
+# those a quarter of a metre off.
+LOADED_N, LOADED_NM = 20.0, 5.0
+# A wrench off by 20 times the median of its load label, and by more than that, is misread: single rows of many, or the
+# label is of several loads.
 KELVIN_C = 200.0  # no machine is measured so warm
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 ROUNDS = 20
@@ -68,8 +71,7 @@ def misread(machine: Machine, recording: Recording) -> NDArray[np.bool_]:
     out = np.zeros(len(recording), dtype=bool)
     if not recording.has_wrench:
         return out
-    sensor = frames(machine, recording.q)[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
-    gravity = np.einsum("nji,j->ni", sensor, machine.gravity)
+    gravity = gravity_in_sensor(machine, frames(machine, recording.q))
     labels = np.array(recording.load)
     for label in set(recording.load) - {""}:
         mine = np.flatnonzero(labels == label)
@@ -88,7 +90,7 @@ def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
         held = payloads(wrench[~wrong], ("",) * int((~wrong).sum()), gravity[~wrong])[0]
         before, wrong = wrong, np.zeros(len(wrench), dtype=bool)
         for rest, least in (
-            (wrench[:, :3] - held[0] * gravity, GROSS_N), (wrench[:, 3:] - np.cross(held[1:], gravity), GROSS_NM)
+            (wrench[:, :3] - held[0] * gravity, LOADED_N), (wrench[:, 3:] - np.cross(held[1:], gravity), LOADED_NM)
         ):
             size = np.linalg.norm(rest, axis=1)
             wrong |= size > max(least, GROSS * float(np.median(size)))

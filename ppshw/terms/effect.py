@@ -49,7 +49,7 @@ class Effect:
         """(k, count) `mimicked`, by nothing where that is not known."""
         return self.mimicked if self.mimicked.size else np.zeros((len(self.columns), count))
 
-    @property
+    @cached_property  # asked for at every column of every setpoint
     def of_instrument(self) -> bool:
         """Whether it is an error of the instrument's readings, all of it, and no axis may follow it."""
         return any(column.on == "points" for column in self.columns)

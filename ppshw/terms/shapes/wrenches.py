@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.statics import link_wrenches
+from ppshw.statics import gravity_in_sensor, link_wrenches
 from ppshw.terms.history import payloads
 from ppshw.terms.shapes.context import Context
 
@@ -67,8 +67,7 @@ def payloads_of(c: Context) -> Array:
 
 def gravity_at_sensor(c: Context) -> Array:
     """(N, 3) in the sensor frame [m/s²]."""
-    sensor = c.chain[:, -1] @ c.machine.sensor_in_link
-    return np.asarray(np.einsum("nji,j->ni", sensor[:, :3, :3], c.machine.gravity))
+    return gravity_in_sensor(c.machine, c.chain)
 
 
 def by_payload(c: Context, wrench: Array) -> Array:
