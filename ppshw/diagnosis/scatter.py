@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 SCATTER = 0.001
 LITTLE = 0.05  # of the noise's variance: what swings less than that in a direction swings no less
 PLACES, SOME = 12, 5  # along a joint's travel; visits without which one is none
+SHARES = (0.05, 0.2, 0.8)  # of an effect that its form may leave
 PERMUTATIONS = 1999
 SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
@@ -36,7 +37,8 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False, nameless: boo
     visits; the weight is the most that such a p allows at even odds (Sellke, Bayarri & Berger 2001).
 
     The other way round nothing acts, but scatter that differs by pose looks so: sweeps are short moves in one place.
-    What is larger at one place of a joint's travel than with any of these is no scatter either.
+    What is larger at one place of a joint's travel than with any of these is no scatter either, nor what is larger
+    where what was found moves most, which its form leaves.
     What swings may be one link about one axis; where that is likelier than noise that grows in all directions, only
     that direction counts less.
 
@@ -58,7 +60,7 @@ def scatter_of(space: Workspace, seed: int, any_way: bool = False, nameless: boo
     null = np.array([(matrix.T @ rng.permutation(sizes)).max() for _ in range(PERMUTATIONS)])
     k, direction = (int(j) for j in np.unravel_index(int(np.argmax(strength)), strength.shape))
     p = (1 + int((null >= strength[k, direction]).sum())) / (PERMUTATIONS + 1)
-    places = _standardised(_places(space), space.fit)[space.fit]
+    places = _standardised(np.column_stack([_places(space), _left_by_forms(space)]), space.fit)[space.fit]
     if p > SCATTER or (places.T @ sizes[:, direction]).max(initial=0.0) > strength[k, direction]:
         return None
     name = _stem(list(columns)[k])
@@ -140,6 +142,14 @@ def _places(space: Workspace) -> Array:
     along = PLACES * (q - q.min(axis=0)) / np.ptp(q, axis=0)
     hats = np.maximum(1.0 - np.abs(along[:, :, None] - (np.arange(PLACES) + 0.5)), 0.0).reshape(len(q), -1)
     return np.asarray(hats[:, (hats[space.fit] > 0).sum(axis=0) >= SOME])  # a lone visit is no place
+
+
+def _left_by_forms(space: Workspace) -> Array:
+    """(N, K) log mean squares of white noise and of a share of what was found, whole and beyond what the base model
+    takes: a real effect differs from its form the more, the more it moves."""
+    moved = np.stack([space.moved(), space.beyond(space.moved())], axis=2)
+    square = ((space.root @ moved) ** 2).mean(axis=1)
+    return np.log1p(square[:, :, None] * np.array(SHARES) ** 2).reshape(len(square), -1)
 
 
 def _sizes(residual: Array, along: Array) -> Array:

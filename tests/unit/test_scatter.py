@@ -132,6 +132,25 @@ def test_what_is_off_at_one_place_of_a_joint_s_travel_is_no_scatter(clean: Works
     assert scatter_of(there, 0, any_way=True) is None
 
 
+def test_what_a_form_leaves_where_its_effect_is_largest_is_no_scatter(clean: Workspace) -> None:
+    """A cable that drags its joint by the last move, more the farther out another joint is, and each time by a third
+    more or less."""
+    rng = np.random.default_rng(11)
+    yaw = clean.machine.joint_names.index("yaw")
+    moved = np.diff(clean.recording.q[:, yaw], prepend=clean.recording.q[0, yaw])
+    out = clean.recording.q[:, clean.machine.joint_names.index("lateral")]
+    drags = clean.context.jacobian[:, :, yaw + 1, 3] * (moved * (out - out.min()))[:, None]
+    drags *= 3e-4 / np.sqrt((drags**2).sum() / clean.recording.seen.sum())
+    there = _noisier(clean, drags * (1.0 + rng.normal(size=(len(drags), 1)) / 3.0))
+    there.take_up(drags[..., None], np.array([10.0]))
+    assert there.coefficients()[1] == pytest.approx([1.0], abs=0.1)
+    assert scatter_of(there, 0, any_way=True) is None
+    unknown = _noisier(clean, there.data - drags - clean.data)
+    found = scatter_of(unknown, 0, any_way=True)
+    assert found is not None
+    assert found.finding["covariate"] == "move_yaw"
+
+
 def test_scatter_without_its_name_is_unexplained_over_the_column_it_goes_with(clean: Workspace) -> None:
     rng = np.random.default_rng(6)
     white = rng.normal(size=clean.data.shape) * 3.0 * _load(clean)[:, None]
