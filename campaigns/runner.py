@@ -8,23 +8,21 @@ nothing is retried behind the operator's back.
 
 from __future__ import annotations
 
-import json
-import platform
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from campaigns import run_notes
 from campaigns.bench import Bench
 from campaigns.operator import Command, Operator
 from campaigns.plan import Plan, Visit, check_setpoints
-from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading, not_stopped
+from drivers.ports import Shot, not_stopped
 from ppshw.errors import (
     BeamLost,
     CampaignError,
@@ -35,7 +33,6 @@ from ppshw.errors import (
     RunFailed,
     Stopped,
 )
-from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import Around, columns_for
 from ppshw.recording_file import RecordingFile
 
@@ -47,7 +44,6 @@ SetpointMap = Callable[[Array, Array, Array, Around], Array]
 LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
 SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess)
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
-_LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
 
 
 @dataclass(frozen=True)
@@ -115,11 +111,11 @@ class _Run:
         self._lost = 0
 
     def go(self, reset_faults: bool) -> RunResult:
-        meta = _identity(self._plan, self._map_label if self._map else "as planned")
+        meta = run_notes.identity(self._plan, self._map_label if self._map else "as planned")
         existing = self._out.exists()
         if existing:  # look before any axis is enabled
             with RecordingFile.open(self._out) as file:
-                _refuse_another_run(file, meta)
+                run_notes.refuse_another_run(file, meta)
                 if self._all_done(file):
                     return self._result(file)
         elif not self._out.parent.is_dir():
@@ -128,7 +124,7 @@ class _Run:
             devices = self._bench.start(reset_faults)
             places = self._places()
             with self._open(existing, meta, places) as file:
-                note = _start_note(devices, self._bench)
+                note = run_notes.start_note(devices, self._bench)
                 if existing and note["site_sha256"] != file.meta().get("site_sha256", ""):
                     note["site"] = self._bench.notes.get("site", "")
                     self._operator.tell("The site file is another than the recording was begun with; both are kept.")
@@ -148,9 +144,10 @@ class _Run:
         if not existing:
             wanted = [f"wanted_{j}" for j in self._joints] if self._map else []
             columns = columns_for(self._plan.machine, places, self._plan.extra_targets, wanted)
-            return RecordingFile.create(self._out, columns, {**meta, **_origin(self._plan), **self._bench.notes})
+            origin = run_notes.origin(self._plan)
+            return RecordingFile.create(self._out, columns, {**meta, **origin, **self._bench.notes})
         file = RecordingFile.open(self._out)
-        last_visit, now = _last_visit(file), self._now()
+        last_visit, now = run_notes.last_visit(file), self._now()
         last, missing = last_visit["time"], ", ".join(p for p in places if f"temp_{p}_C" not in last_visit)
         if missing or now < last:
             file.close()
@@ -164,7 +161,7 @@ class _Run:
         """Since the last visit, for the operator to judge: a move that was broken off or somebody who moved the machine
         is no reason to refuse, but a drive that lost its zero says no more than this. Axes that were homed stand on
         their switch."""
-        last, now = _last_visit(file), self._bench.axes.positions()
+        last, now = run_notes.last_visit(file), self._bench.axes.positions()
         before = {j: float(q) for j in self._joints if (q := last.get(f"q_{j}"))}
         moved = {
             j: (before[j], now[j]) for j in before if j not in self._bench.homed and abs(now[j] - before[j]) > SLIP
@@ -193,14 +190,14 @@ class _Run:
         return self._bench.clock.utc().isoformat(timespec="milliseconds")
 
     def _all_done(self, file: RecordingFile) -> bool:
-        return len(_finished(file)) >= len(self._plan.visits)
+        return len(run_notes.finished(file)) >= len(self._plan.visits)
 
     def _result(self, file: RecordingFile) -> RunResult:
-        return RunResult(self._out, self._measured, len(file.done()), len(_skipped(file)), self._lost)
+        return RunResult(self._out, self._measured, len(file.done()), len(run_notes.skipped(file)), self._lost)
 
     # --- the loop ------------------------------------------------------------------------------------------
     def _visits(self, file: RecordingFile) -> RunResult:
-        finished = _finished(file)
+        finished = run_notes.finished(file)
         todo = [visit for visit in self._plan.visits if visit.index not in finished]
         last: Visit | None = None
         seconds_left = self._plan.seconds_left(finished)
@@ -253,17 +250,17 @@ class _Run:
         temperatures = bench.temperatures()
         bench.axes.require_at_rest(q)  # an axis that fell over during the measurement, or was pushed, spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
-        cells |= _joint_cells(self._joints, commanded, q, report)
+        cells |= run_notes.joint_cells(self._joints, commanded, q, report)
         for shot in shots:
             cells |= {f"{shot.target}_{axis}": f"{x:.9f}" for axis, x in zip("xyz", shot.xyz.tolist(), strict=True)}
         cells |= {f"temp_{place}_C": f"{value:.4f}" for place, value in temperatures.items()}
         if reading is not None:
-            cells |= _wrench_cells(reading)
+            cells |= run_notes.wrench_cells(reading)
         if self._map is not None:
             cells |= {f"cov_wanted_{j}": f"{x:.9f}" for j, x in zip(self._joints, wanted.tolist(), strict=True)}
-        raw = [(s.target, _raw(s)) for s in shots]
+        raw = [(s.target, run_notes.raw(s)) for s in shots]
         if reading is not None:
-            raw.append(("wrench", _raw_wrench(reading)))
+            raw.append(("wrench", run_notes.raw_wrench(reading)))
         file.append(cells, plan_index=visit.index, shots=raw, again=visit.index in file.done())
 
     def _corrected(self, visit: Visit, wanted: Array) -> Array:
@@ -319,7 +316,7 @@ class _Run:
         if not self._plan.script.baseline or self._bench.force_sensor is None:
             return
         reading = self._bench.force_sensor.read()
-        self._log(file, "baseline", when, {**_raw_wrench(reading), "q": self._bench.axes.positions()})
+        self._log(file, "baseline", when, {**run_notes.raw_wrench(reading), "q": self._bench.axes.positions()})
 
     def _wait_for_temperature(self, file: RecordingFile, visit: Visit, last: Visit | None) -> Command | None:
         """Returns when all places are inside their window, or what the operator wants done instead of waiting."""
@@ -414,91 +411,3 @@ class _Run:
             file.log(self._noticed or self._now(), "fault", str(error), note)
         else:
             self._log(file, "stopped", str(error) or "interrupted", data)
-
-
-# --- cells and notes -----------------------------------------------------------------------------------------
-def _joint_cells(
-    joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], report: MoveReport
-) -> dict[str, str]:
-    out = {f"q_cmd_{j}": f"{x:.9f}" for j, x in zip(joints, commanded.tolist(), strict=True)}
-    out |= {f"q_{j}": f"{q[j]:.9f}" for j in joints}
-    out |= {f"approach_{j}": str(report.approach[j]) for j in joints}
-    return out
-
-
-def _wrench_cells(reading: WrenchReading) -> dict[str, str]:
-    out = {c: f"{x:.6f}" for c, x in zip(WRENCH_COMPONENTS, reading.wrench.tolist(), strict=True)}
-    if reading.temperature_c is not None:
-        out["temp_force_sensor_C"] = f"{reading.temperature_c:.4f}"
-    return out
-
-
-def _raw(shot: Shot) -> dict[str, Any]:
-    return {
-        "xyz": shot.xyz.tolist(), "raw": dict(shot.raw), "ppm": shot.ppm,
-        "atmosphere": asdict(shot.atmosphere), "extra": dict(shot.extra),
-    }  # fmt: skip
-
-
-def _raw_wrench(reading: WrenchReading) -> dict[str, Any]:
-    return {"wrench": reading.wrench.tolist(), "spread": reading.spread.tolist(), "samples": reading.samples}
-
-
-def _identity(plan: Plan, setpoints: str) -> dict[str, str]:
-    """What a resumed run must share with the run before."""
-    return {
-        "machine_sha256": plan.machine.sha256, "campaign_sha256": plan.script.sha256, "plan_sha256": plan.digest,
-        "setpoints": setpoints,
-    }  # fmt: skip
-
-
-def _origin(plan: Plan) -> dict[str, str]:
-    versions = {library: version(library) for library in _LIBRARIES} | {"python": platform.python_version()}
-    return {
-        "machine": Path(plan.machine.file).read_text(encoding="utf-8"),
-        "machine_name": plan.machine.name,
-        "campaign": plan.script.text,
-        "campaign_name": plan.script.name,
-        "visits_planned": str(len(plan.visits)),
-        "versions": json.dumps(versions),
-    }
-
-
-def _start_note(devices: list[DeviceInfo], bench: Bench) -> dict[str, Any]:
-    found = [{k: v for k, v in asdict(device).items() if k != "problem"} for device in devices]
-    return {"devices": found, "homed": list(bench.homed), "site_sha256": bench.notes.get("site_sha256", "")}
-
-
-def _refuse_another_run(file: RecordingFile, wanted: Mapping[str, str]) -> None:
-    found = file.meta()
-    names = {"machine_sha256": "machine file", "campaign_sha256": "campaign script", "plan_sha256": "plan",
-             "setpoints": "setpoint correction"}  # fmt: skip
-    for key, name in names.items():
-        if found.get(key) != wanted[key]:
-            was = found.get(key, "unknown")[:12]
-            raise RecordingError(
-                f"{file.path}: was begun with another {name} ({was}, now {wanted[key][:12]}); "
-                "choose a new file, or go on with what it was begun with"
-            )
-
-
-def _finished(file: RecordingFile) -> set[int]:
-    """Plan indices that nothing is to be done for any more."""
-    return (file.done() - _to_redo(file)) | _skipped(file)
-
-
-def _to_redo(file: RecordingFile) -> set[int]:
-    """Plan indices of visits that somebody wanted measured again, and that were not, since."""
-    measured = file.measured_at()
-    asked = [(int(data["visit"]), time) for time, kind, _, data in file.events() if kind == "redo"]
-    return {visit for visit, time in asked if measured.get(visit, time) < time}
-
-
-def _skipped(file: RecordingFile) -> set[int]:
-    return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
-
-
-def _last_visit(file: RecordingFile) -> dict[str, str]:
-    """Column → cell; empty ones where nothing was measured yet."""
-    header, rows = file.table()
-    return dict(zip(header, rows[-1], strict=True)) if rows else dict.fromkeys(header, "")

@@ -149,7 +149,7 @@ def _left_by_forms(space: Workspace) -> Array:
     takes: a real effect differs from its form the more, the more it moves."""
     moved = np.stack([space.moved(), space.beyond(space.moved())], axis=2)
     square = ((space.root @ moved) ** 2).mean(axis=1)
-    return np.log1p(square[:, :, None] * np.array(SHARES) ** 2).reshape(len(square), -1)
+    return np.asarray(np.log1p(square[:, :, None] * np.array(SHARES) ** 2).reshape(len(square), -1))
 
 
 def _sizes(residual: Array, along: Array) -> Array:
