@@ -158,7 +158,7 @@ class Calibration:
             "visits": len(recording),
             "visits_used": len(used),
             "readings": int(recording.seen.sum()),
-            "visits_down_weighted": int(recording.seen.any(axis=1).sum()) - len(used),
+            "visits_down_weighted": int(recording.measured.sum()) - len(used),
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }

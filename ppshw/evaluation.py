@@ -98,7 +98,7 @@ def evaluate(
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
     answer = {
-        "visits": int(recording.seen.any(axis=1).sum()), "readings": int(recording.seen.sum()),
+        "visits": int(recording.measured.sum()), "readings": int(recording.seen.sum()),
         **figures(left), "nominal": nominal,
         "far_off": (np.flatnonzero(far_off(left).any(axis=1)) + 1).tolist(),
     }  # fmt: skip
@@ -120,7 +120,7 @@ def evaluate(
 def _outside(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
     """Per joint and load component that goes beyond what was identified: that range, how many visits with a reading lie
     outside it, and the value farthest out. Those with most visits first."""
-    seen = recording.seen.any(axis=1)
+    seen = recording.measured
     known = zip([*calibration.identified_joints(), *calibration.identified_loads()],
                 np.hstack([recording.q, recording.wrench]).T, strict=True)  # fmt: skip
     out = []

@@ -109,6 +109,11 @@ class Recording:
         """(N, T) whether a target was measured."""
         return np.asarray(np.isfinite(self.points).all(axis=2))
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N,) whether a visit saw any target."""
+        return np.asarray(self.seen.any(axis=1))
+
     def subset(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> Recording:
         """The visits that `which` (a mask or indices) selects."""
         rows = np.arange(len(self))[which]

@@ -53,7 +53,7 @@ def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> T
     others = [calibration.machine.points[n] for n in names]
     context = _context(calibration, recording, others)
     count, size = len(recording), context.points.shape[1]
-    ideal = context.points + _effects(calibration, recording, others).reshape(count, size, 3)
+    ideal = _predicted(calibration, recording, others)
     everything = np.ones((count, size), dtype=bool)
     covariance = calibration.noise.covariance(context.levers(), everything, np.ones(count))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((count, 3 * size, 1)))[..., 0]
@@ -88,8 +88,7 @@ def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> li
     Of the very recording that it was identified from, it already took what it could; of any other it may be wrong by
     its own uncertainty. Both are in the replicas.
     """
-    seen = np.asarray(recording.seen.any(axis=1))
-    return check(compared(calibration, recording.subset(seen)), seed)[0]
+    return check(compared(calibration, recording.subset(recording.measured)), seed)[0]
 
 
 def compared(calibration: Calibration, recording: Recording) -> Compared:
@@ -99,9 +98,8 @@ def compared(calibration: Calibration, recording: Recording) -> Compared:
     rows = np.repeat(seen, 3, axis=1)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     root = calibration.noise.whitener(context.levers(), seen)
-    ideal = context.points.reshape(count, -1) + _effects(calibration, recording)
-    read = to_base(recording.points, calibration.measuring_in_base).reshape(count, -1)
-    left = (root @ np.where(rows, read - ideal, 0.0)[..., None])[..., 0]
+    gap = to_base(recording.points, calibration.measuring_in_base) - _predicted(calibration, recording)
+    left = (root @ np.where(rows, gap.reshape(count, -1), 0.0)[..., None])[..., 0]
     design, active = _design(calibration, recording, root)
     if recording.sha256 == calibration.provenance.get("recording_sha256"):
         prior = _prior(calibration)[active]
@@ -175,7 +173,8 @@ def _design(calibration: Calibration, recording: Recording, root: Array) -> tupl
 
 
 def _context(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Context:
-    """What shapes look at, for the targets and then for other points of the end effector (T + E in all)."""
+    """What shapes look at, for the targets and then for other points of the end effector (T + E in all): about the
+    parameters that they were made with, which are not those beside which they are fitted."""
     model, theta = calibration.model, calibration.laid_at
     c = Context.of(model, theta, recording, calibration.measuring_in_base, dict(calibration.reference))
     if not len(others):
@@ -187,12 +186,17 @@ def _context(calibration: Calibration, recording: Recording, others: Sequence[Ar
     return replace(c, points=points, jacobian=jacobian)
 
 
-def _effects(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Array:
-    """(N, 3K) what the effects add, base axes [m]. A reflector that moved moves itself alone."""
-    whole, rows = calibration.continued(recording)
-    context = _context(calibration, whole, others)
-    out = np.zeros((len(context.points), context.points.shape[1] * 3))
-    for effect in calibration.effects:
-        for column, value in zip(effect.columns, effect.values, strict=True):
-            out += value * column.evaluate(context)
-    return out[rows]
+def _predicted(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Array:
+    """(N, K, 3) where the targets and then other points are, by the calibration with its effects [m], base axes. A
+    reflector that moved moves itself alone."""
+    points = np.array([*calibration.model.targets(calibration.theta), *others])
+    out = calibration.model.predict(Situation.of(recording), calibration.theta, points)
+    if calibration.effects:
+        whole, rows = calibration.continued(recording)
+        context = _context(calibration, whole, others)
+        moved = np.zeros((len(whole), out[0].size))
+        for effect in calibration.effects:
+            for column, value in zip(effect.columns, effect.values, strict=True):
+                moved += value * column.evaluate(context)
+        out += moved[rows].reshape(out.shape)
+    return out

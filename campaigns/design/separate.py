@@ -143,7 +143,7 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
         belief = typical(machine, len(recording), point)
         cases = list(known.script.loads)
     else:
-        recording = known.subset(np.asarray(known.seen.any(axis=1)))
+        recording = known.subset(known.measured)
         found = identify(machine, recording)
         belief = learnt(found.model.machine, len(recording), found.groups, found.noise, recording.source)
         cases = list(loads_for(machine, point, None, None)[1])

@@ -45,7 +45,7 @@ def identify(a: argparse.Namespace) -> None:
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
     warnings = doubts_about(machine, recording)
-    if (visits := int(recording.seen.any(axis=1).sum())) < FEW:
+    if (visits := int(recording.measured.sum())) < FEW:
         warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
     with columns_named(machine, recording):
         with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
@@ -64,7 +64,7 @@ def identify(a: argparse.Namespace) -> None:
     warnings += as_they_stand(looked(machine, believed)[1])
     calibration.save(out)
     warn(a.rec, warnings)
-    set_aside = np.setdiff1d(np.flatnonzero(recording.seen.any(axis=1)), believable(estimate.weights))
+    set_aside = np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
         "visits": visits,

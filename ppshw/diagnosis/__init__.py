@@ -64,9 +64,10 @@ def diagnose(
     without  effects that are taken out of the library (their cases must then be called unexplained)
     Raises RecordingError when the recording is too short to tell.
     """
-    recording, rows = _of_use(recording)
+    _refuse_too_few(recording)
     wrong_loads = misread(machine, recording)
-    recording, odd, rows = recording.subset(~wrong_loads), rows[wrong_loads], rows[~wrong_loads]
+    odd, rows = np.flatnonzero(wrong_loads & recording.measured), np.flatnonzero(~wrong_loads)
+    recording = recording.subset(rows)
     recording, mistakes = column_mistakes(machine, recording)
     tell = progress or (lambda done, total: None)
     tell(0, 10)
@@ -77,7 +78,7 @@ def diagnose(
     tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     if calming is not None and not found:
         del tried
-        space = prepare(machine, recording, gross.others(len(recording)), space.base, calming, gross.at_a_place)
+        space = prepare(machine, recording, gross.others(recording), space.base, calming, gross.at_a_place)
         tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
@@ -107,24 +108,20 @@ def diagnose(
     return Diagnosis(answer, space, carried.found)
 
 
-def _of_use(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
-    """The visits that saw a target, and which rows these are."""
-    rows = np.flatnonzero(recording.seen.any(axis=1))
-    recording = recording.subset(rows)
-    if len(recording) < LEAST_VISITS:
+def _refuse_too_few(recording: Recording) -> None:
+    if (visits := int(recording.measured.sum())) < LEAST_VISITS:
         raise RecordingError(
-            f"{recording.source}: visits with a target: {len(recording)}, expected {LEAST_VISITS} or more to diagnose"
+            f"{recording.source}: visits with a target: {visits}, expected {LEAST_VISITS} or more to diagnose"
         )
-    return recording, rows
 
 
 def _believed(
     machine: Machine, recording: Recording, without: frozenset[str], seed: int
 ) -> tuple[Workspace, GrossErrors, Array | None]:
     """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
-    everything = np.ones(len(recording), dtype=bool)
+    everything = recording.measured
     space = prepare(machine, recording, everything)
-    if not links_hang(space.base, recording):
+    if not links_hang(space.base, recording.subset(everything)):
         machine = replace(machine, hangs=False)
         space = prepare(machine, recording, everything)
     # what swings more than the rest counts less, or its visits would be called wrong
@@ -132,11 +129,11 @@ def _believed(
     calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
     gross = gross_errors(calmed)
     if gross.visits or gross.at_a_place:
-        space = prepare(machine, recording, gross.others(len(recording)), None, None, gross.at_a_place)
+        space = prepare(machine, recording, gross.others(recording), None, None, gross.at_a_place)
         # beside one that is metres off its neighbours looked wrong too
         if (still := still_gross(space, gross)).visits != gross.visits:
             gross = still
-            space = prepare(machine, recording, gross.others(len(recording)), None, None, gross.at_a_place)
+            space = prepare(machine, recording, gross.others(recording), None, None, gross.at_a_place)
     return space, gross, calming
 
 
@@ -144,7 +141,7 @@ def _learnt_without(
     machine: Machine, space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, calming: Array | None
 ) -> Workspace:
     """The base model once more, learnt from the recording as it would be without what was found."""
-    believed = gross.others(len(space.recording))
+    believed = gross.others(space.recording)
     believable = _without(space, tried, found).subset(believed)
     base = estimate(joint_model(machine, believable), believable)
     base = _as_believed(space, base, believed)
@@ -170,7 +167,7 @@ def _look(
     named = library(space.context, without, moments, periods, bands, jumps, knocks, lost)
     candidates = named + nameless(space.context, jumps)
     # so many columns would fit anything that few visits say
-    candidates = [k for k in candidates if COLUMNS_PER_VISIT * len(space.recording) >= len(k.columns)]
+    candidates = [k for k in candidates if COLUMNS_PER_VISIT * int(space.fit.sum()) >= len(k.columns)]
     tried = Tried(space, candidates, space.unit, without)
     tell(2)
     found = search(space, tried, np.random.default_rng(seed))
@@ -226,7 +223,7 @@ def _answer(
         unexplained = _unexplained(free, tried, max(left, key=lambda f: f.evidence))
     carried = carry(space, tried, found)
     answer = {
-        "visits": len(space.recording),
+        "visits": int(space.recording.measured.sum()),
         # noise was learnt beside what a smooth function left of structure without a name; held-out visits had it too
         "noise_floor_mm": min(_noise_floor(space), carried.after) if carried.corrections else _noise_floor(space),
         "verdict": "unexplained" if unexplained is not None else "missing_physics" if findings else "consistent",

@@ -75,7 +75,7 @@ def before_and_after(space: Workspace, seed: int = 0) -> dict[str, list[dict[str
     """The checks by the base model alone, of every visit; and with the findings, of the visits that were believed."""
     before = check(of_space(space, found=False, everything=True), seed)[0]
     after = before
-    if space.taken.shape[2] or space.calmed or not space.fit.all():
+    if space.taken.shape[2] or space.calmed or not space.fit[space.recording.measured].all():
         after = check(of_space(space), seed)[0]
     return {"before": [c.as_dict() for c in before], "after": [c.as_dict() for c in after]}
 

@@ -158,7 +158,7 @@ def doubts_of_moments(recording: Recording, left: Callable[[Recording], Array]) 
     """
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return []
-    if recording.seen.any(axis=1).sum() < FEWEST:
+    if recording.measured.sum() < FEWEST:
         return []
     given, other, sure = _by_either_sign(recording, left)
     if not sure:

@@ -13,7 +13,7 @@ from scipy.stats import f as f_distribution
 
 from ppshw.diagnosis.evidence import MOST_OF_NOISE, corrected_residual
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.recording import listed
+from ppshw.recording import Recording, listed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -49,9 +49,9 @@ class GrossErrors:
     size: float = 0.0
     p: float = 1.0
 
-    def others(self, count: int) -> Mask:
-        """(count,) which visits are not simply wrong."""
-        return ~np.isin(np.arange(count), self.visits)
+    def others(self, recording: Recording) -> Mask:
+        """(N,) which visits saw a target and are not simply wrong."""
+        return recording.measured & ~np.isin(np.arange(len(recording)), self.visits)
 
     def findings(self, rows: NDArray[np.int64], misread: NDArray[np.int64]) -> list[dict[str, Any]]:
         """rows: which visits of the recording those that were looked at are; misread: visits of the recording whose
@@ -222,18 +222,16 @@ def still_gross(space: Workspace, gross: GrossErrors, riddle: float = 0.0) -> Gr
     """
     if not gross.visits:
         return gross
-    left = np.nan_to_num(space.residual())
-    targets = np.sqrt(np.maximum(space.recording.seen.sum(axis=1), 1))
-    size = np.linalg.norm(left, axis=1) / targets
-    there = np.linalg.norm(space.beyond(space.moved()), axis=1) / targets
-    white = np.einsum("nij,nj->ni", space.root, left)
-    freedom = 3 * space.recording.seen.sum(axis=1)
-    distance = (white**2).sum(axis=1)
-    scale = _scale(distance[space.fit], freedom[space.fit])
+    visits, fitted = np.flatnonzero(space.recording.measured), space.fit[space.recording.measured]
+    left, targets = np.nan_to_num(space.residual()[visits]), space.recording.seen[visits].sum(axis=1)
+    size = np.linalg.norm(left, axis=1) / np.sqrt(targets)
+    there = np.linalg.norm(space.beyond(space.moved())[visits], axis=1) / np.sqrt(targets)
+    freedom, distance = 3 * targets, (np.einsum("nij,nj->ni", space.root[visits], left) ** 2).sum(axis=1)
+    scale = _scale(distance[fitted], freedom[fitted])
     far = (distance > _limit(space, distance, freedom, scale)) | _too_many(distance, freedom)
     far &= size > np.maximum(there, OF_A_RIDDLE * riddle)
-    far &= np.isin(np.arange(len(far)), gross.visits)
-    kept = tuple(int(v) for v in np.flatnonzero(far)) if _wrong(far, distance, freedom, scale) else ()
+    far &= np.isin(visits, gross.visits)
+    kept = tuple(int(v) for v in visits[far]) if _wrong(far, distance, freedom, scale) else ()
     return replace(gross, visits=kept, swapped={v: n for v, n in gross.swapped.items() if v in kept})
 
 

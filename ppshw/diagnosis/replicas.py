@@ -93,7 +93,7 @@ def of_space(space: Workspace, found: bool = True, everything: bool = False) -> 
         space.forget()
     weights = np.ones(len(space.recording))
     weights[space.fit] = np.maximum(space.base.weights, 1e-3)
-    which = np.ones_like(space.fit) if everything else space.fit
+    which = space.recording.measured if everything else space.fit
     columns = np.concatenate([space.design, space.taken], axis=2)[which]
     base, extra = space.coefficients()
     left = space.data[which] - columns @ np.concatenate([base, extra])

@@ -48,7 +48,7 @@ STANDS_OUT = {f".band{FINEST}": 3.0, f".band{FINEST - 1}": 6.0}
 
 @dataclass
 class Workspace:
-    """N visits of which some are for the fit; rows are the 3T coordinates of a visit.
+    """N visits of which some, that saw a target, are for the fit; rows are the 3T coordinates of a visit.
 
     fit        (N,)               which visits the fit may use; F of them
     context    what the shapes of effects look at
@@ -221,7 +221,8 @@ def prepare(
     machine: Machine, recording: Recording, fit: Mask, base: Estimate | None = None, calming: Array | None = None,
     sure: Sequence[int] = (),
 ) -> Workspace:  # fmt: skip
-    """Fit the base model to the fit visits and lay everything ready. Visits without any target are left out before.
+    """Fit the base model to the fit visits and lay everything ready. Visits without any target are none of them: they
+    are only what went before the others.
 
     sure  visits that are believed in full however far off they are
     """

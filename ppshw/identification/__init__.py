@@ -30,7 +30,7 @@ def identify(
         if method == "paper":
             found: Estimate = identify_paper(machine, kept)
         else:
-            sound = kept.subset(~gross & kept.seen.any(axis=1))  # a damaged encoder cell is no travel
+            sound = kept.subset(~gross & kept.measured)  # a damaged encoder cell is no travel
             found = estimate(joint_model(machine, sound), kept, progress=progress)
             if not links_hang(found, kept):
                 found = estimate(joint_model(replace(machine, hangs=False), sound), kept, progress=progress)

@@ -108,7 +108,7 @@ def estimate(
 
     Raises IdentificationFailed when no visit has a target.
     """
-    used = np.asarray(recording.seen.any(axis=1))
+    used = recording.measured
     if not used.any():
         raise IdentificationFailed(f"{recording.source}: every target of every visit was lost")
     if not used.all():

@@ -33,7 +33,7 @@ LITTLE = 1e-6  # what a column with its prior moves targets by, over their noise
 def links_hang(found: Estimate, recording: Recording) -> bool:
     """Whether a machine is to be taken as one whose links hang on their joints, as its estimate took it: not where the
     recording, that of the estimate, is sure of the contrary."""
-    visits = np.flatnonzero(recording.seen.any(axis=1))
+    visits = np.flatnonzero(recording.measured)
     if len(visits) < FEWEST or not any(j.mass > 0 and j.elastic for j in found.model.machine.joints):
         return True
     share, std = share_of_own_weight(found, recording, visits[:: -(-len(visits) // MOST)])

@@ -23,6 +23,7 @@ from ppshw.diagnosis.locate import Map, channels, gradients
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import CalibrationError, ReportError
+from ppshw.evaluation import residuals
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import load_machine
@@ -116,6 +117,20 @@ def test_the_twin_has_the_effects_of_the_calibration(rig: Rig) -> None:
     # the first carriage stands on the floor: 0.1 mm of it are 0.1 mm along x for every reflector, but for small errors
     assert np.allclose(moved[..., 0][seen], expected[seen], atol=2e-6)
     assert np.abs(moved[..., 1:][seen]).max() < 2e-6
+
+
+def test_the_twin_stands_where_the_fitted_parameters_say_not_where_its_effects_were_laid(rig: Rig) -> None:
+    column = Column("frame", "approach", {"joint": LATERAL}, LATERAL + 1, 0)
+    play = Effect("backlash", "lateral", (column,), (1e-4,), (1e-6,), "lateral lags.")
+    beside = replace(rig.calibration, effects=(play,))
+    laid_elsewhere = replace(beside, laid=0.5 * beside.theta)
+    here, there = (simulate(c, rig.recording, 1).points for c in (beside, laid_elsewhere))
+    assert np.nanmax(np.abs(here - there)) < 5e-6
+    here, there = ({k.name: k.observed for k in compare(c, rig.recording)} for c in (beside, laid_elsewhere))
+    assert there["rms"] == pytest.approx(here["rms"], rel=0.01)
+    assert np.nanstd(residuals(rig.recording, laid_elsewhere)) == pytest.approx(
+        np.nanstd(residuals(rig.recording, beside)), rel=0.01
+    )
 
 
 def test_a_calibration_whose_groups_are_another_programs_is_refused(rig: Rig) -> None:
