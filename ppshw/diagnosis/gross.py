@@ -79,7 +79,7 @@ class GrossErrors:
 def gross_errors(space: Workspace) -> GrossErrors:
     """Visits whose residual noise cannot make, by χ² with Bonferroni's correction on a robust scale."""
     weights = np.maximum(space.base.weights, 1e-3)
-    residual = corrected_residual(space) / np.sqrt(weights[space.fit])[:, None]
+    residual = corrected_residual(space) / np.sqrt(weights)[:, None]
     freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
     distance = (residual**2).sum(axis=1)
     scale = _scale(distance, freedom)

@@ -16,6 +16,7 @@ from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import by_its_own_form
 from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library.lost_motion import friction
 from ppshw.diagnosis.library.sampled import MOMENTS, own_component
 from ppshw.diagnosis.locate import covariates
 from ppshw.diagnosis.nameless import nameless
@@ -53,6 +54,23 @@ def test_compliances_held_back_by_their_prior_are_no_error_of_the_force_sensor(s
     assert _sensor_gain(space.as_learnt()) < -3
     assert abs(_sensor_gain(space)) < 2.5
     assert _sensor_gain(space.as_learnt(but_elastic=True)) == pytest.approx(_sensor_gain(space), abs=1.0)
+
+
+def test_a_visit_that_saw_nothing_is_still_what_went_before_the_next(tmp_path: Path) -> None:
+    """Every eighth beam was lost: where the joints had been is known all the same. None of them counts as a visit."""
+    machine, recording = clean_case(60533, "pps", 120, 96, tmp_path)
+    points = recording.points.copy()
+    points[3::8] = np.nan
+    lost = replace(recording, points=points)
+    found = diagnose(machine, lost)
+    assert (found.answer["visits"], found.answer["findings"]) == (84, [])
+    assert not found.space.fit[3::8].any()
+    whole = prepare(machine, recording, lost.measured, found.space.base).context
+    candidates = list(friction(whole, {}))
+    assert candidates
+    for column in candidates[0].columns:
+        there = column.evaluate(found.space.context)[lost.measured]
+        assert np.allclose(there, column.evaluate(whole)[lost.measured], rtol=1e-6, atol=1e-12)
 
 
 def test_a_moment_that_was_found_is_sought_between_all_visits_about_it(space: Workspace) -> None:
