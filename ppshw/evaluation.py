@@ -13,6 +13,7 @@ from ppshw.identification.plausible import far_off
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
+from ppshw.quantities import called
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, displacement, is_beyond
@@ -22,6 +23,7 @@ from ppshw.transforms import fit_rigid
 from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
+COURSES = ("clock", "clock_q")  # functions that run on with time
 
 
 def residuals(recording: Recording, calibration: Calibration, refit_base: bool = False) -> Array:
@@ -92,8 +94,9 @@ def evaluate(
     """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
     the numbers of visits that no error of a machine explains, whether the calibration was identified from this very
     recording, and how many visits lie outside what it was identified from; where it carries effects, how many visits of
-    its own recording this one goes on from, and how many are at temperatures that its effects were never measured at;
-    where structure without a name, how many visits lie where nothing is known of it."""
+    its own recording this one goes on from, how many are at temperatures that its effects were never measured at, and
+    how many so long before or after that what runs on with time is not carried on to them; where structure without a
+    name, how many visits lie where nothing is known of it."""
     left = nominal_residuals(recording, machine, refit_base)
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
@@ -110,9 +113,12 @@ def evaluate(
     whole, rows = calibration.continued(recording)
     answer["earlier_visits"] = len(whole) - len(recording)
     answer["beyond"] = _beyond(recording, calibration)
+    context = Context.of(calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
+                         dict(calibration.reference))  # fmt: skip
+    running = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if c.function in COURSES})
+    if running and (held := int((context.clock != context.hours)[rows].sum())):
+        answer["held_in_time"] = {"effects": running, "visits": held}
     if any(e.name == UNNAMED for e in calibration.effects):
-        context = Context.of(calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
-                             dict(calibration.reference))  # fmt: skip
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer
 

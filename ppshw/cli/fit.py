@@ -137,6 +137,9 @@ def evaluate(a: argparse.Namespace) -> None:
     for b in answer.get("beyond", ()):
         lines.append(f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
                      f"{b['high_C']:.1f} °C at which effects were measured; carried on there")
+    if held := answer.get("held_in_time"):
+        lines.append(f"{held['visits']} visits so long before or after the calibration's own that nobody knows how far "
+                     f"{' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
     for u in answer.get("unexplained", ()):
         lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
                      f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")

@@ -103,10 +103,10 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     refuse_another_machine(machine, recording)
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return recording, found
-    given, other, sure = _by_either_sign(recording, lambda r: _left(machine, r))
+    _, (given, other), sure = _by_either_sign(recording, lambda r: _left(machine, r))
     forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
     if forces is None and sure:
-        found.append(Mistake(_named(MOMENTS), -1.0, SIGN[-1.0], given, other))
+        found.append(Mistake(_named(MOMENTS), -1.0, SIGN[-1.0], float(given), float(other)))
         return _times(recording, MOMENTS, -1.0), found
     if forces is None:
         return recording, found
@@ -160,7 +160,7 @@ def doubts_of_moments(recording: Recording, left: Callable[[Recording], Array]) 
         return []
     if recording.measured.sum() < FEWEST:
         return []
-    given, other, sure = _by_either_sign(recording, left)
+    (given, other), _, sure = _by_either_sign(recording, left)
     if not sure:
         return []
     return [f"the columns {_named(MOMENTS)} seem to have the opposite sign to those of the recording that the "
@@ -168,16 +168,18 @@ def doubts_of_moments(recording: Recording, left: Callable[[Recording], Array]) 
             f"{1e3 * other:.3f}"]  # fmt: skip
 
 
-def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) -> tuple[float, float, bool]:
-    """What is left [m] of a recording as it is and with its moments' signs turned, and whether the latter is surely
-    less."""
+def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) -> tuple[Array, Array, bool]:
+    """What is left of a recording as it is and with its moments' signs turned, rms (2,) [m] of all visits and with the
+    farthest as far as the others, and whether the latter is surely less."""
     both = np.stack([left(r) for r in (recording, _times(recording, MOMENTS, -1.0))])
     both = both[:, np.isfinite(both).all(axis=0)]
-    both = np.minimum(both, np.quantile(both.min(axis=0), FARTHEST))
-    given, other = (float(each) for each in np.sqrt((both**2).mean(axis=1)))
-    more = both[0] ** 2 - both[1] ** 2
+    if not both.size:
+        return np.zeros(2), np.zeros(2), False
+    near = np.minimum(both, np.quantile(both.min(axis=0), FARTHEST))
+    all_visits, most = (np.sqrt((each**2).mean(axis=1)) for each in (both, near))
+    more = near[0] ** 2 - near[1] ** 2
     sure = more.mean() > SURE * more.std() / np.sqrt(len(more))
-    return given, other, bool(given > REVERSED * other and sure)
+    return all_visits, most, bool(most[0] > REVERSED * most[1] and sure)
 
 
 def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:

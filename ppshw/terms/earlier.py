@@ -34,6 +34,12 @@ def goes_on(earlier: Recording, first: float) -> bool:
     return first - float(before.max()) <= max(PAUSE_S, longest)
 
 
+def known_until(end: float, hours: Array) -> float:
+    """Until when a course in time is carried on, for visits at `hours` (N,) since the start of a recording that ended
+    at `end` [h]: for as long again as it lasted where they go on from it, else to its end."""
+    return 2.0 * end if not len(hours) or hours[0] <= end + PAUSE_S / 3600.0 else end
+
+
 def continued(earlier: Recording | None, recording: Recording) -> tuple[Recording, Mask]:
     """A recording with the earlier visits among its own, by time (those after it say what its loads weigh), and which
     rows are its own.

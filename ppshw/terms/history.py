@@ -159,13 +159,13 @@ def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float,
         r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
 
     Changes are put halfway between two visits. What hung there before the first visit is taken to have hung there for
-    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0). "last" is what
-    the last change alone does, as the logarithm of its age.
+    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0; before that
+    all of it). "last" is what the last change alone does, as the logarithm of its age.
 
     payload (N, k) in any measure that adds up;  returns (N, k)
     """
     if form == "first":
-        return np.asarray(payload[0] * np.exp(-hours / tau)[:, None])
+        return np.asarray(payload[0] * np.exp(-np.maximum(hours, 0.0) / tau)[:, None])
     out = np.zeros_like(payload)
     for k in range(1, len(payload)):
         if load[k] == load[k - 1]:

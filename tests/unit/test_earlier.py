@@ -16,7 +16,7 @@ from ppshw.calibration import Calibration, content_digest, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Compensator, Corrections
 from ppshw.errors import CalibrationError
-from ppshw.evaluation import residuals
+from ppshw.evaluation import evaluate, residuals
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import Around, Recording, load_recording, read_table
@@ -130,6 +130,44 @@ def test_a_pause_as_long_as_the_recording_had_itself_is_no_end() -> None:
     assert earlier.goes_on(slept, float(recording.time[0]))
     assert earlier.continued(slept, recording)[1].sum() == VISITS - FIRST
     assert not earlier.goes_on(first, float(first.time[0]) - HOUR)
+
+
+def running_on() -> Calibration:
+    """Made from 2 hours of visits, beside a base that ran 0.1 mm an hour, and half a millimetre that died away within
+    0.2 hours from the first visit on; and creep of what hung there then."""
+    first = whole().subset(np.arange(VISITS) < FIRST)
+    creeping = {"frame": FRAME, "component": RX, "tau": 0.1}
+    columns = (
+        Column("frame", "clock", {"form": "linear"}, 0, 1),
+        Column("frame", "clock", {"form": "exponential", "tau": 0.2}, 0, 1),
+        Column("frame", "creeping", {**creeping, "form": "first"}, FRAME, RX),
+        Column("frame", "creeping", {**creeping, "form": "began"}, FRAME, RX),
+    )
+    drift = Effect("drift", None, columns, (1e-4, 5e-4, 1e-9, 1e-9), (1e-6,) * 4, "by hand")
+    reference = {"start": float(first.time[0]), "hours": 2.0}
+    provenance = {**base().provenance, "recording_sha256": "of what it was made from"}
+    return replace(base(), effects=(drift,), reference=reference, visits=first, provenance=provenance)
+
+
+@pytest.mark.parametrize(("hours", "expected"), [
+    (-50.0, 0.0), (-1.0, 0.0), (1.5, 6.5e-4), (3.5, 8.5e-4), (30.0, 7e-4),
+])  # fmt: skip
+def test_what_runs_on_with_time_is_not_carried_on_to_where_nobody_knows(hours: float, expected: float) -> None:
+    """Before the start as at the start, long after the end as at the end, in between for as long as it was seen to run.
+    A first visit an hour before the start was predicted 58 m off, by e^(t/tau)."""
+    then = replace(later().subset(np.array([30])), time=whole().time[:1] + hours * HOUR)
+    if hours == 3.5:  # goes on from what came an hour before, as the calibration's own did
+        found = running_on()
+        assert found.visits is not None
+        times = np.append(found.visits.time[:-1], whole().time[0] + 2.9 * HOUR)
+        calibration = replace(found, visits=replace(found.visits, time=times))
+    else:
+        calibration = running_on()
+    moved = residuals(then, replace(calibration, effects=())) - residuals(then, calibration)
+    along = moved[0].mean(axis=0)
+    assert np.linalg.norm(along) == pytest.approx(expected, abs=2e-5)
+    answer = evaluate(then, base().machine, calibration)
+    assert ("held_in_time" in answer) == (hours in (-50.0, -1.0, 30.0))
 
 
 def test_another_load_under_a_label_stays_another() -> None:

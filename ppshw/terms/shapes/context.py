@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -13,6 +14,7 @@ from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
+from ppshw.terms.earlier import known_until
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.history import hours_since
 
@@ -61,12 +63,14 @@ class Context:
         targets = model.targets(theta)
         points = np.einsum("nij,pj->npi", tips[:, :3, :3], targets) + tips[:, None, :3, 3]
         jacobian = point_jacobian(chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
-        reference = {} if reference is None else reference
+        own, reference = reference is None, {} if reference is None else reference
         first = float(recording.time[0]) if np.isfinite(recording.time).all() else UNTIMED
         start = reference.setdefault("start", first)
         hours = hours_since(start, recording.time)
         if (start == UNTIMED) != (first == UNTIMED):  # nobody knows how long after: as if it went on from there
             hours = reference.get("hours", 0.0) + hours_since(first, recording.time)
+        if own and len(hours):
+            reference.setdefault("hours", float(hours[-1]))
         return cls(
             model.machine, recording, jacobian, wrenches, points, tips, chain, compliances(model, theta, situation),
             measuring_in_base, hours, reference, model,
@@ -82,6 +86,12 @@ class Context:
             self.memo[key] = make()
             self.memo[key].flags.writeable = False
         return self.memo[key]
+
+    @property
+    def clock(self) -> Array:
+        """(N,) hours as far as anything is known of what goes by them: not before the recording that a calibration was
+        made from, nor after its end where this one does not go on from it, nor ever for longer than it lasted."""
+        return np.clip(self.hours, 0.0, known_until(self.reference.get("hours", math.inf), self.hours))
 
     def levers(self) -> Array:
         """(N, T, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint (`Noise`)."""

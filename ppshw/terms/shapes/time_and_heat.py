@@ -24,7 +24,7 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
           "cosine" of τ half waves over the recording, held where it was at its end;
           "beat_cos" and "beat_sin" of as many, 0 beyond it
     """
-    t = c.hours
+    t = c.clock
     match form:
         case "linear":
             return t
@@ -42,7 +42,7 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
         case "beat_cos" | "beat_sin":  # where a beat is later, nobody knows
             whole = max(c.frozen("hours", float(t[-1])), 1e-9)
             wave = np.cos if form == "beat_cos" else np.sin
-            return np.asarray(wave(np.pi * tau * t / whole) * ((t >= 0.0) & (t <= whole)))
+            return np.asarray(wave(np.pi * tau * t / whole) * ((c.hours >= 0.0) & (c.hours <= whole)))
     raise ValueError(f"unknown course in time '{form}'")
 
 
