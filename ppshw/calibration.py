@@ -112,6 +112,11 @@ class Calibration:
                 f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
                 "its std_mm knows nothing of what they do"
             )
+        for mended in self.provenance.get("columns_set_right", ()):
+            said.append(
+                f"it is of its recording set right ({mended}): what still reads so, as the force sensor, must be set "
+                "right too"
+            )
         if self.machine.tracker.base is None:
             said.append(
                 "where the tracker stood was estimated: poses are right relative to each other; where the base frame "

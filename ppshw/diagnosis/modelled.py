@@ -65,6 +65,8 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
     recording = space.recording.subset(space.fit)
     theta = _theta(alone, [p for p in found if not p[0].carried and not _left_out(space, p)])
     calibration = Calibration.of(replace(space.base, theta=theta), recording, "joint")
+    if mended := [f["sentence"].rstrip(".") for f in findings if f["effect"] == "column_mistake"]:
+        calibration.provenance["columns_set_right"] = mended
     visits = space.recording if effects else None
     laid = space.base.theta if effects else None
     reference = dict(space.context.reference)

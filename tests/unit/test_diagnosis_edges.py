@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 import yaml
 
+from ppshw.calibration import load_calibration
 from ppshw.cli import main
+from ppshw.machine import load_machine
 from simulators.concealed.case import make_case
 
 VISITS = 48
@@ -120,6 +122,9 @@ def test_a_wrong_visit_and_a_wrong_column_are_said(case: Case, tmp_path: Path) -
         case.rows[40][at] = str(float(case.rows[40][at]) + 0.03)
     said = {f["effect"] for f in answered(case, tmp_path)["findings"]}
     assert {"column_mistake", "outliers"} <= said
+    # whoever moves axes by what that made must know: the sensor goes on reading as it does
+    calibration = load_calibration(tmp_path / "extended.json", load_machine(tmp_path / "machine.yaml"))
+    assert any("the columns Fx … Fz have the opposite sign" in doubt for doubt in calibration.doubts())
 
 
 def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Case, tmp_path: Path) -> None:
