@@ -219,8 +219,8 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         ])  # fmt: skip
     approach = directions(q_cmd)
     for k, j in enumerate(joints):
-        if f"approach_{j}" in cells:
-            approach[:, k] = cells.approach(f"approach_{j}")
+        if f"approach_{j}" in cells and (said := cells.approach(f"approach_{j}")).any():  # all 0: nobody wrote it down
+            approach[:, k] = said
     copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
     points[copies] = math.nan
     unknown = np.full(len(table.rows), math.nan)

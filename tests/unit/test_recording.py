@@ -44,6 +44,12 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_directions_that_are_all_0_are_those_of_the_moves_between_visits(tmp_path: Path) -> None:
+    header = "q_rail,q_turn,approach_rail,approach_turn,P2_x,P2_y,P2_z"
+    found = read(tmp_path, header, "0.1,0.2,0,0,1,2,3", "0.3,0.1,0,1,4,5,6")
+    assert found.approach.tolist() == [[0, 0], [1, 1]]  # one was written down, and stands
+
+
 def test_lines_of_nothing_but_spaces_are_no_visits(tmp_path: Path) -> None:
     found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z", "0.1,0.2,1,2,3", "", " \t", "0.3,0.4,4,5,6", "  ")
     assert found.q.tolist() == [[0.1, 0.2], [0.3, 0.4]]
