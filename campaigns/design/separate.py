@@ -45,6 +45,7 @@ Progress = Callable[[int, int], None]
 # Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis-method.md §7).
 ENOUGH = 6.0
 FORMS, MANY = 8, 60  # of each name, to choose visits by; to say how much alike two names may be
+HELP = 0.1  # by which √λ must grow at least, or the visits are of no help
 TAIL = 12  # visits before a block that its history is computed from
 AMPLITUDE = 3.0  # of the other effect, in units of the repeatability
 MOST_VISITS = 30
@@ -321,7 +322,8 @@ def _greedy(
     machine: Machine,
 ) -> list[int]:  # fmt: skip
     """Blocks in the order they are taken: the most gain per minute, until all are told apart or `most` is reached."""
-    minutes = np.array([block.seconds(machine).sum() / 60.0 for block in offered])
+    minutes, before = np.array([block.seconds(machine).sum() / 60.0 for block in offered]), state.s
+    lacking = [pair for pair in pairs if pair.strength(before) < ENOUGH]
     chosen: list[int] = []
     made = 0
     while min(pair.strength(state.s) for pair in pairs) < ENOUGH:
@@ -337,12 +339,13 @@ def _greedy(
         state.take(*rows[best])
         chosen.append(best)
         made += len(offered[best].q)
-    return chosen
+    helps = any(pair.strength(state.s) > pair.strength(before) + HELP for pair in lacking)
+    return chosen if helps else []
 
 
 def _worth(pairs: Sequence[_Pair], s: Array) -> float:
-    """What is told apart already counts little, what is hard counts most."""
-    return float(sum(np.log1p(pair.strength(s) ** 2 / ENOUGH**2) for pair in pairs))
+    """What is told apart already counts no more, what is hard counts most."""
+    return float(sum(np.log1p(min(1.0, pair.strength(s) ** 2 / ENOUGH**2)) for pair in pairs))
 
 
 # --- the script -----------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaigns.design.separate import Separation, Wanted, separate
+from campaigns.design.separate import Separation, Wanted, _Pair, _worth, separate
 from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
 from campaigns.script import load_script
@@ -149,6 +149,19 @@ def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_
     assert apart.why_none() == f"{said}; the forms most alike stay so (√λ 1.3): nothing written"
     apart = replace(found, rows=[{**r, "nearest": 6.1} for r in apart.rows])
     assert apart.why_none() == f"{said}: nothing written"
+
+
+def test_more_of_what_is_told_apart_already_is_no_help() -> None:
+    """Thirty visits were written that raised 30.1 to 31.4 and left the 5.4 beside it as it was."""
+
+    none = np.zeros(0, dtype=np.int64)
+    told, lacking = (_Pair(("drift", None), ("zero_shift", "yaw"), np.eye(2)[k : k + 1], none) for k in (0, 1))
+
+    def worth(one: float, other: float) -> float:
+        return _worth([told, lacking], np.diag([one**2, other**2]))
+
+    assert worth(30.1, 5.4) == worth(31.4, 5.4)
+    assert worth(30.1, 5.5) > worth(31.4, 5.4)
 
 
 def test_an_effect_that_does_not_exist_cannot_be_separated(machine: Machine, sweeps: Plan) -> None:
