@@ -12,7 +12,7 @@ import zlib
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from ppshw.errors import CalibrationError, RecordingError
 from ppshw.identification.joint import Estimate, believable
 from ppshw.identification.noise import Noise
 from ppshw.identification.plausible import loads_not_measured
-from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.machine import WRENCH_COMPONENTS, BentBy, Machine
 from ppshw.model import Model
 from ppshw.packed import packed, unpacked
 from ppshw.recording import Recording
@@ -222,7 +222,7 @@ class Calibration:
             },
             "sampled": self.sampled,
             "measuring_in_base": self.measuring_in_base.tolist(),
-            "hangs": machine.hangs,
+            "bent_by": machine.bent_by,
             "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
             "noise": {
                 "pose": self.noise.pose.tolist(), "instrument": self.noise.instrument,
@@ -303,9 +303,9 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
 
 def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
     moved = machine.with_targets({name: np.array(data["targets"][name], dtype=float) for name in machine.targets})
-    if not isinstance(hangs := data.get("hangs", True), bool):
-        raise ValueError(f"'hangs' is {hangs!r}, expected true or false")
-    moved = replace(moved, hangs=hangs)
+    if (bent_by := data.get("bent_by", "own" if data.get("hangs", True) else "beyond")) not in get_args(BentBy):
+        raise ValueError(f"'bent_by' is {bent_by!r}, expected one of {', '.join(get_args(BentBy))}")
+    moved = replace(moved, bent_by=bent_by)
     terms: list[FrameTerm] = []
     target_offset = None
     values: list[float] = []

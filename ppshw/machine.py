@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from ppshw.strict_yaml import Section, read_yaml
 from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
+BentBy = Literal["own", "beyond", "payload"]
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 MOST_TURNS = 3.0  # of a joint before its limits look like degrees
@@ -90,8 +92,8 @@ class Machine:
 
     gravity (3,) in the base frame [m/s²]; tip_in_link (4, 4) end-effector frame in the last link frame; targets and
     points: name → (3,) in the end-effector frame [m]; sensor_in_link (4, 4) force sensor in the last link frame.
-    hangs: whether a link hangs on its own joint, so that its weight bends it; else only the joints before it are bent.
-    No file says so, a recording may (`identification.own_weight`).
+    bent_by: whose weights bend a joint beside the payload: its "own" and farther links', those of links "beyond" it, or
+    none ("payload"). No file says so, a recording may (`identification.own_weight`).
     """
 
     name: str
@@ -105,7 +107,7 @@ class Machine:
     tracker: TrackerModel
     file: str
     sha256: str
-    hangs: bool = True
+    bent_by: BentBy = "own"
 
     @property
     def n(self) -> int:

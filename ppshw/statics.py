@@ -1,7 +1,8 @@
 """The wrench on every link, by statics   (paper eq. 15).
 
 W_i is what everything beyond frame i applies to it: the payload, as the force sensor measured it, and the weights of
-the bodies from joint i outwards. Body i itself counts: it hangs on joint i, unless a recording says otherwise.
+the bodies from joint i outwards. Body i itself counts: it hangs on joint i, unless a recording says otherwise
+(`Machine.bent_by`).
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array
     out = np.empty((count, machine.n + 1, 6))
     for i in range(machine.n, -1, -1):
         beyond = force, moment
-        if i > 0:
+        if i > 0 and machine.bent_by != "payload":
             body = machine.joints[i - 1]
             centre = np.einsum("nij,j->ni", chain[:, i, :3, :3], body.com) + chain[:, i, :3, 3]
             force = force + body.mass * g
             moment = moment + np.cross(centre, body.mass * g)
-        pulls, turns = (force, moment) if machine.hangs else beyond
+        pulls, turns = beyond if machine.bent_by == "beyond" else (force, moment)
         here = turns - np.cross(chain[:, i, :3, 3], pulls)
         out[:, i, :3] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], pulls)
         out[:, i, 3:] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], here)

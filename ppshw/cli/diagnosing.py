@@ -46,7 +46,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.wording import how_sure, unexplained
-    from ppshw.identification.own_weight import NOT_HUNG
+    from ppshw.identification.own_weight import NOT_BENT
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -84,8 +84,8 @@ def diagnose(a: argparse.Namespace) -> None:
     lines += [f"  {c['sentence']}" for c in answer["corrections"]]
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
-    if not found.space.machine.hangs:
-        lines.append(f"own weights {NOT_HUNG}")
+    if (how := NOT_BENT.get(found.space.machine.bent_by)) is not None:
+        lines.append(f"own weights {how}")
     if remembers := serial.sentence(answer):
         lines.append(remembers)
     lines.append(f"by the base model {sentence(answer['checks']['before'])}")

@@ -37,7 +37,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
-    from ppshw.identification.own_weight import NOT_HUNG
+    from ppshw.identification.own_weight import NOT_BENT
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
@@ -80,7 +80,7 @@ def identify(a: argparse.Namespace) -> None:
         "set_aside": [int(v) + 1 for v in set_aside],
         "warnings": warnings,
         "ambiguous": list(told),
-        "hangs": calibration.machine.hangs,
+        "bent_by": calibration.machine.bent_by,
         "seconds": round(time.perf_counter() - began, 2),
         "out": str(a.out),
     }
@@ -93,8 +93,8 @@ def identify(a: argparse.Namespace) -> None:
         f"  instrument           {calibration.noise.instrument * 1e3:.3f} mm per coordinate\n"
         f"  visits set aside     {answer['outliers']}{': ' if len(set_aside) else ''}{listed(set_aside)}"
     )
-    if not calibration.machine.hangs:
-        text += f"\n  own weights          {NOT_HUNG}"
+    if (how := NOT_BENT.get(calibration.machine.bent_by)) is not None:
+        text += f"\n  own weights          {how}"
     if a.method != "paper":
         text += f"\n  not told apart       {summary(ambiguous)}"
     say(a, answer, folded(text.splitlines()))

@@ -33,7 +33,7 @@ class Chain(NamedTuple):
     gravity: Array  # (3,)
     tip: Array  # (12,)
     sensor: Array  # (12,)
-    hangs: bool  # whether a body bends its own joint
+    hangs: bool  # whether a body bends its own joint, if any
 
 
 class Functions(NamedTuple):

@@ -151,11 +151,11 @@ def _chain(machine: Machine) -> Chain:
         np.array([j.prismatic for j in machine.joints]),
         np.array([j.axis for j in machine.joints]),
         np.array([place(j.origin) for j in machine.joints]),
-        np.array([[j.mass, *j.com] for j in machine.joints]),
+        np.array([[j.mass if machine.bent_by != "payload" else 0.0, *j.com] for j in machine.joints]),
         np.array(machine.gravity, dtype=float),
         place(machine.tip_in_link),
         place(machine.sensor_in_link),
-        machine.hangs,
+        machine.bent_by == "own",
     )
 
 

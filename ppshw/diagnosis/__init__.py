@@ -26,7 +26,7 @@ from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import RecordingError
 from ppshw.identification.joint import Estimate, estimate
-from ppshw.identification.own_weight import links_hang
+from ppshw.identification.own_weight import fitted
 from ppshw.identification.plausible import misread
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
@@ -120,10 +120,9 @@ def _believed(
 ) -> tuple[Workspace, GrossErrors, Array | None]:
     """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
     everything = recording.measured
-    space = prepare(machine, recording, everything)
-    if not links_hang(space.base, recording.subset(everything)):
-        machine = replace(machine, hangs=False)
-        space = prepare(machine, recording, everything)
+    base = fitted(machine, recording.subset(everything), recording.subset(everything))
+    machine = replace(machine, bent_by=base.model.machine.bent_by)
+    space = prepare(machine, recording, everything, base)
     # what swings more than the rest counts less, or its visits would be called wrong
     calming = _calming(space, without, seed)
     calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.errors import IdentificationFailed
-from ppshw.identification.joint import Estimate, Progress, believable, estimate
-from ppshw.identification.own_weight import links_hang
+from ppshw.identification.joint import Estimate, Progress, believable
+from ppshw.identification.own_weight import fitted
 from ppshw.identification.paper import identify_paper
 from ppshw.identification.plausible import without_gross_errors
-from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 
@@ -31,9 +30,7 @@ def identify(
             found: Estimate = identify_paper(machine, kept)
         else:
             sound = kept.subset(~gross & kept.measured)  # a damaged encoder cell is no travel
-            found = estimate(joint_model(machine, sound), kept, progress=progress)
-            if not links_hang(found, kept):
-                found = estimate(joint_model(replace(machine, hangs=False), sound), kept, progress=progress)
+            found = fitted(machine, sound, kept, progress)
     except np.linalg.LinAlgError as exc:
         raise IdentificationFailed(f"{recording.source}: does not determine the model ({exc})") from None
     weights = np.where(gross, np.minimum(found.weights, GROSS_WEIGHT), found.weights)

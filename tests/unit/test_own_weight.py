@@ -1,4 +1,4 @@
-"""Whether links hang on their own joints: statics by hand, and what a recording of a simulated arm says of it."""
+"""Whose weights bend a joint: statics by hand, and what a recording of a simulated arm says of it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ppshw.diagnosis import diagnose
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
 from ppshw.identification import identify
-from ppshw.identification.own_weight import share_of_own_weight
+from ppshw.identification.own_weight import towards
 from ppshw.kinematics import frames
-from ppshw.machine import Machine, load_machine
+from ppshw.machine import BentBy, Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.statics import link_wrenches
 from simulators import chain as kinematics
@@ -26,7 +26,7 @@ from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 
 Array = NDArray[np.float64]
-Measured = tuple[Machine, Recording, bool]
+Measured = tuple[Machine, Recording, BentBy]
 ARM = load_machine(Path(__file__).parents[2] / "machines/arm6.yaml")
 HEAVY = 2.0  # times the file's, on the same springs
 
@@ -43,7 +43,17 @@ class Rooted(Plant):
         return out
 
 
-@pytest.fixture(scope="module", params=["hangs", "rooted"])
+class Balanced(Plant):
+    """Counterweights bear its links: the payload alone bends it."""
+
+    def link_wrenches(self, q: Array, load: Any = None) -> Array:
+        return np.asarray(super().link_wrenches(q, load) - super().link_wrenches(q, None))
+
+
+PLANTS: dict[BentBy, type[Plant]] = {"own": Plant, "beyond": Rooted, "payload": Balanced}
+
+
+@pytest.fixture(scope="module", params=["own", "beyond", "payload"])
 def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Measured:
     folder = tmp_path_factory.mktemp(request.param)
     light = Path(ARM.file).read_text(encoding="utf-8").replace("[Fx, Fy, Fz, Mx, My, Mz]", "[Mx, My, Mz]")
@@ -54,45 +64,48 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
     machine = load_machine(folder / "m.yaml")
     assert [j.mass for j in machine.joints] == pytest.approx([HEAVY * j.mass for j in ARM.joints])
-    plant = (Plant if request.param == "hangs" else Rooted).from_file(folder / "light.yaml", seed=5)
+    plant = PLANTS[request.param].from_file(folder / "light.yaml", seed=5)
     plant.chain = kinematics.read_chain(folder / "m.yaml")
     csv = simulate_recording_csv(plant, folder / "r.csv", 260, np.random.default_rng(1), "mixed", interleave=True)
-    return machine, load_recording(csv, machine), request.param == "hangs"
+    return machine, load_recording(csv, machine), request.param
 
 
 def test_a_link_that_does_not_hang_carries_what_lies_beyond_it() -> None:
     rng = np.random.default_rng(2)
     q, payload = rng.uniform(-1, 1, (3, 6)), rng.normal(size=(3, 6))
     chain = frames(ARM, q)
-    hangs, rooted = (link_wrenches(replace(ARM, hangs=h), chain, payload) for h in (True, False))
+    ways: tuple[BentBy, ...] = ("own", "beyond", "payload")
+    hangs, rooted, balanced = (link_wrenches(replace(ARM, bent_by=way), chain, payload) for way in ways)
     for i, joint in enumerate(ARM.joints, start=1):
         weight = joint.mass * np.einsum("nji,j->ni", chain[:, i, :3, :3], ARM.gravity)
         own = np.concatenate([weight, np.cross(joint.com, weight)], axis=1)
         np.testing.assert_allclose(hangs[:, i] - rooted[:, i], own, atol=1e-9)
     np.testing.assert_allclose(hangs[:, 0], rooted[:, 0], atol=1e-9)
+    weightless = replace(ARM, joints=tuple(replace(joint, mass=0.0) for joint in ARM.joints))
+    np.testing.assert_array_equal(balanced, link_wrenches(weightless, chain, payload))
 
 
-def test_a_recording_says_whether_links_hang_on_their_joints(measured: Measured, tmp_path: Path) -> None:
-    machine, recording, hangs = measured
+def test_a_recording_says_whose_weights_bend_a_joint(measured: Measured, tmp_path: Path) -> None:
+    machine, recording, bent_by = measured
     found = identify(machine, recording)
-    assert found.model.machine.hangs == hangs
-    if hangs:
-        share, std = share_of_own_weight(found, recording, np.arange(len(recording)))
-        assert abs(share - 1.0) < 4 * std < 0.5
+    assert found.model.machine.bent_by == bent_by
+    for other in {*PLANTS} - {bent_by}:
+        way, std = towards(found, recording, other)
+        assert abs(way) < 4 * std < 0.5
     calibration = Calibration.of(found, recording, "joint")
     calibration.save(tmp_path / "cal.json")
     back = load_calibration(tmp_path / "cal.json", machine)
-    assert back.machine.hangs == hangs
+    assert back.machine.bent_by == bent_by
     np.testing.assert_array_equal(residuals(recording, back), residuals(recording, calibration))
     data = json.loads((tmp_path / "cal.json").read_text(encoding="utf-8"))
-    data["hangs"] = 3
+    data["bent_by"] = 3
     (tmp_path / "cal.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")
-    with pytest.raises(CalibrationError, match="damaged: 'hangs' is 3, expected true or false"):
+    with pytest.raises(CalibrationError, match="damaged: 'bent_by' is 3, expected one of own, beyond, payload"):
         load_calibration(tmp_path / "cal.json", machine)
 
 
-def test_nothing_is_missing_in_a_machine_whose_links_do_not_hang(measured: Measured) -> None:
-    machine, recording, hangs = measured
+def test_nothing_is_missing_however_a_machine_s_own_weights_bend_it(measured: Measured) -> None:
+    machine, recording, bent_by = measured
     found = diagnose(machine, recording)
     assert found.answer["verdict"] == "consistent"
-    assert found.space.machine.hangs == hangs
+    assert found.space.machine.bent_by == bent_by

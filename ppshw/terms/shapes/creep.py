@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ppshw.terms.history import followed, load_memory
 from ppshw.terms.shapes.context import Context
-from ppshw.terms.shapes.wrenches import by_payload, deflection, gravity_at_sensor, own_wrenches, payloads_of
+from ppshw.terms.shapes.wrenches import by_payload, deflection, gravity_at_sensor, payload_wrenches, payloads_of
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def _late(c: Context, tau: float, form: str) -> Array:
         if form == "began":
             return np.asarray(c.wrenches[:1] * np.exp(-c.clock / tau)[:, None, None])
         if form in ("wrench", "total"):
-            whole = c.wrenches - own_wrenches(c) if form == "wrench" else c.wrenches
+            whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))
         g = gravity_at_sensor(c)
         held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form)

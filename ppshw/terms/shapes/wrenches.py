@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,7 @@ def body_weight(c: Context, joint: int, what: str, grows: int = 0, by: int | Non
     g = c.machine.gravity
     pose = c.chain[:, joint + 1]
     com = c.machine.joints[joint].com
-    for i in range(1, joint + 1 + c.machine.hangs):
+    for i in range(1, joint + 1 + (c.machine.bent_by != "beyond")):
         frame = c.chain[:, i]
         if what == "mass":
             force = np.broadcast_to(g, (len(out), 3))
@@ -56,8 +58,14 @@ def turned(frame: Array, force: Array, moment: Array) -> Array:
 
 
 def own_wrenches(c: Context) -> Array:
-    """(N, n+1, 6) on every frame by the machine's own bodies."""
-    return c.once(("own",), lambda: link_wrenches(c.machine, c.chain, np.zeros((len(c.chain), 6))))
+    """(N, n+1, 6) on every frame by the machine's own bodies, whether they are known to bend it or not."""
+    machine = replace(c.machine, bent_by="own") if c.machine.bent_by == "payload" else c.machine
+    return c.once(("own",), lambda: link_wrenches(machine, c.chain, np.zeros((len(c.chain), 6))))
+
+
+def payload_wrenches(c: Context) -> Array:
+    """(N, n+1, 6) on every frame by the payload alone."""
+    return c.wrenches if c.machine.bent_by == "payload" else c.wrenches - own_wrenches(c)
 
 
 def payloads_of(c: Context) -> Array:
