@@ -80,7 +80,8 @@ def wanted(c: Calibration, count: int, share: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("machine", [PPS, ARM, replace(ARM, bent_by="beyond"), replace(ARM, bent_by="payload")], ids=["pps", "arm6", "arm6, links beyond", "arm6, balanced"])
+@pytest.mark.parametrize("machine", [PPS, ARM, replace(ARM, bent_by="beyond"), replace(ARM, bent_by="payload")],
+                         ids=["pps", "arm6", "arm6, links beyond", "arm6, balanced"])  # fmt: skip
 def test_it_corrects_as_the_compensator_does_to_a_micrometre(machine: Machine, kind: str) -> None:
     c = calibration(machine, kind)
     slow, fast = Compensator(c, WIDE), FastCompensator(c, WIDE)
