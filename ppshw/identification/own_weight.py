@@ -4,8 +4,8 @@ says it, and recordings do.
 Bearings and drives stand behind a joint's motion and carry the link: its weight bends them. A link that is rigid at its
 joint and bends towards its end is bent by what lies beyond it alone, as paper eq. (15) may be read. Where weights are
 balanced the payload alone bends anything. The fit is made as the first has it; beside the whole base model it is
-estimated how far it would have to go towards each of the others, and where a recording is sure of one the fit is made
-once more, which must be as sure that it is to stay. docs/decisions/own-weight.md.
+estimated how far it would have to go towards each of the others. Where it may be one of those the fit is made that way
+too, and is asked how far it would go back; the more sure of the two stands. docs/decisions/own-weight.md.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ppshw.recording import Recording
 from ppshw.terms import Situation
 
 Array = NDArray[np.float64]
-# Log odds of another way that are enough. Compliances were learnt with the wrong statics, so that a recording may go
-# past it; the fit made the other way is asked how far it would go back: less than half, with the same odds. Clean
-# recordings of 43 machines of four authors whose links hang on their joints, or nearly, have -13 to -12,000 for the
-# payload alone and up to 11 for the links beyond; of six where the payload alone bends anything, -0.4 to 298.
-SURE: dict[BentBy, float] = {"beyond": 10.0, "payload": 5.0}
-NEAR = 0.5
+# Log odds of another way from which it is tried; by how much its own odds of going back must be less; how far back it
+# may go. The first fit's compliances are learnt with the wrong statics: clean recordings of six machines of which the
+# payload alone bends anything had odds of -0.4 to 298 for that, and of -160 to -6,000 for going back; those of 43
+# machines of four authors whose links hang on their joints, or nearly, -13 and less (for the links beyond up to 11).
+TRIED: dict[BentBy, float] = {"beyond": 10.0, "payload": -5.0}
+SURE, NEAR = 20.0, 0.5
 NOT_BENT = {
     "beyond": "of a link do not bend its own joint here, only those before it",
     "payload": "bend nothing here, the payload alone does",
@@ -41,22 +41,23 @@ def fitted(machine: Machine, sound: Recording, recording: Recording, progress: P
     """The joint estimate of a recording, its model laid over the travel of the sound visits, of a machine that is bent
     as the recording says."""
     found = estimate(joint_model(machine, sound), recording, progress=progress)
-    if (other := _surely(found, recording)) is None:
+    other, odds = _likeliest(found, recording)
+    if other is None:
         return found
     again = estimate(joint_model(replace(machine, bent_by=other), sound), recording, progress=progress)
     back, std = towards(again, recording, machine.bent_by)
-    return again if -_odds(back, std) > SURE[other] and abs(back) < NEAR else found
+    return again if odds - _odds(back, std) > SURE and abs(back) < NEAR else found
 
 
-def _surely(found: Estimate, recording: Recording) -> BentBy | None:
-    """In which other way a recording is sure that the machine is bent."""
-    machine = found.model.machine
+def _likeliest(found: Estimate, recording: Recording) -> tuple[BentBy | None, float]:
+    """In which other way a machine may be bent by a recording, if any, and the log odds."""
     visits = int(recording.measured.sum())
-    if visits < FEWEST or not any(j.mass > 0 and j.elastic for j in machine.joints):
-        return None
-    odds = {other: _odds(*towards(found, recording, other)) for other in SURE}
-    best = max(odds, key=lambda other: odds[other])
-    return best if odds[best] > SURE[best] else None
+    if visits < FEWEST or not any(j.mass > 0 and j.elastic for j in found.model.machine.joints):
+        return None, 0.0
+    ways = {other: towards(found, recording, other) for other in TRIED}
+    odds = {other: _odds(*way) for other, way in ways.items() if way[1] < np.inf}
+    best = max((other for other in odds if odds[other] > TRIED[other]), key=lambda other: odds[other], default=None)
+    return best, 0.0 if best is None else odds[best]
 
 
 def _odds(share: float, std: float) -> float:
