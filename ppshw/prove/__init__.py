@@ -184,7 +184,7 @@ def ppshw_diagnose(case: Path, answers: Path, without: str = "") -> Json:
     """The command itself, as a user would run it, on what is in the case's folder."""
     said = answers / "said.json"
     command = [
-        sys.executable, "-m", "ppshw.cli", "diagnose", str(case / "recording.csv"), "--machine",
+        sys.executable, "-m", "ppshw", "diagnose", str(case / "recording.csv"), "--machine",
         str(case / "machine.yaml"), "--json", str(said), "--out", str(answers / "calibration.json"),
     ]  # fmt: skip
     run = _run([*command, "--without", without] if without else command)

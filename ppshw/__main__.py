@@ -1,4 +1,4 @@
-"""`python -m ppshw.cli`, the same as `ppshw`."""
+"""`python -m ppshw`, the same as `ppshw`."""
 
 import sys
 
