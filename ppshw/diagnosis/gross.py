@@ -77,13 +77,13 @@ class GrossErrors:
 
 
 def gross_errors(space: Workspace) -> GrossErrors:
-    """Visits whose residual noise cannot make, by χ² with Bonferroni's correction on a robust scale."""
+    """Visits whose residual noise cannot make, by χ² with Bonferroni's correction on a robust scale; p of the worst is
+    by noise of the tails that the others are likeliest of."""
     weights = np.maximum(space.base.weights, 1e-3)
     residual = corrected_residual(space) / np.sqrt(weights)[:, None]
     freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
     distance = (residual**2).sum(axis=1)
     scale = _scale(distance, freedom)
-    tail = chi2.sf(distance / scale, freedom)
     far = (distance > _limit(space, distance, freedom, scale)) | _too_many(distance, freedom)
     if far.mean() > 0.1 or not _wrong(far, distance, freedom, scale):
         return GrossErrors()
@@ -99,7 +99,7 @@ def gross_errors(space: Workspace) -> GrossErrors:
         visits=tuple(int(v) for v in visits),
         swapped={int(v): names for v in visits if (names := _swap(space, int(v)))},
         size=float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))) * 1e3),
-        p=float(min(1.0, tail.min() * len(distance))),
+        p=float(min(1.0, _tail(distance, freedom, _tails(distance, freedom)[0]).min() * len(distance))),
     )
 
 
@@ -163,9 +163,7 @@ def _too_many(distance: Array, freedom: Array) -> Mask:
     """(V,) the farthest of V visits, where they are too many to be noise, whose tails the nearest say: any one alone
     may well be."""
     count = len(distance)
-    nu, _ = _tails(distance, freedom)
-    scale = _scale_of_tails(distance, freedom, nu)
-    tail = np.asarray(f_distribution.sf(distance / (scale * freedom), freedom, nu), dtype=float)
+    tail = _tail(distance, freedom, _tails(distance, freedom)[0])
     order = np.sort(tail)[: max(2, count // 10)]
     by_chance = np.asarray(binom.sf(np.arange(len(order)), count, order)) * len(order)
     most = int(np.argmin(by_chance))
@@ -204,6 +202,12 @@ def _beyond(distance: Array, freedom: Array, nu: float) -> Array:
     """(V,) squared distances that noise of such tails reaches in one of a thousand recordings."""
     scale = _scale_of_tails(distance, freedom, nu)
     return np.asarray(scale * freedom * f_distribution.isf(GROSS / len(distance), freedom, nu))
+
+
+def _tail(distance: Array, freedom: Array, nu: float) -> Array:
+    """(V,) by which chance noise of such tails goes as far as each of V visits."""
+    scale = _scale_of_tails(distance, freedom, nu)
+    return np.asarray(f_distribution.sf(distance / (scale * freedom), freedom, nu), dtype=float)
 
 
 def _scale_of_tails(distance: Array, freedom: Array, nu: float) -> float:

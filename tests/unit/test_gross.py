@@ -13,6 +13,7 @@ from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gross import (
     GrossErrors,
+    _tail,
     _tails,
     _too_many,
     gross_errors,
@@ -70,6 +71,11 @@ def test_tails_are_heavy_where_the_many_that_are_near_say_so_and_not_because_a_f
     assert _tails(swung, freedom)[0] <= 6.0
     distance[:20] += 30.0
     assert _tails(distance, freedom)[1] >= 15.0
+    # the same distance is a greater wonder where tails are light: 1e-83 was said of a visit among noise of four
+    swung[0], light = 350.0, rng.chisquare(9.0, 450)
+    light[0] = 350.0
+    by_light, by_heavy = (_tail(d, freedom, _tails(d, freedom)[0])[0] for d in (light, swung))
+    assert by_light < 1e-12 < 1e-7 < by_heavy
 
 
 @pytest.fixture(scope="module")
