@@ -25,9 +25,11 @@ from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
+from ppshw.terms.history import hours_since_change
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
+from ppshw.terms.shapes.creep import OLDEST_LOAD_H
 
 Array = NDArray[np.float64]
 # Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
@@ -117,6 +119,12 @@ class KnownEffects:
             if place and place not in now.temperatures:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
         reserve = []
+        oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
+        if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
+            reserve.append(
+                f"the load has lain there for longer than any did while it was measured ({60 * oldest:.0f} min); "
+                "taken as then"
+            )
         lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
         if lag > 0 and not any(m.temperatures for m in past.moments):
             reserve.append(f"lags by {lag:g} h: taken as steady")
@@ -274,6 +282,10 @@ class KnownEffects:
         if self._compliance_at is None or np.abs(self._compliance_at[0] - here.q).max() > SAME:
             self._compliance_at = here.q, compliances(self._model, self._theta, here)
         return self._compliance_at[1]
+
+    def _load_age_h(self, moments: Sequence[Moment]) -> float:
+        """For how long the load of the last moment has lain there [h], as far back as they go."""
+        return float(hours_since_change(tuple(m.load for m in moments), self._times(moments) / 3600.0)[-1])
 
     def _times(self, moments: Sequence[Moment]) -> Array:
         """Where nobody says the time it is the end of the recording."""

@@ -132,10 +132,12 @@ def _coupling(c: Context, k: Candidate) -> list[Column]:
 
 def _creep(c: Context, k: Candidate) -> list[Column]:
     first = k.columns[0]
-    if len(k.columns) == 6:
+    if k.component is None and first.function == "creeping":  # of one load, or of several
+        one = len({each.args["component"] for each in k.columns}) == 1
+        forms = (*ANY_WAY, "first") if one else (first.args["form"],)
         return [
             Column(each.on, each.function, {**each.args, "tau": tau, "form": form}, each.frame, each.component)
-            for each in k.columns for tau in CREEP_H[::3] for form in (*ANY_WAY, "first")
+            for each in k.columns for tau in CREEP_H[::3] for form in forms
         ]  # fmt: skip
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
@@ -152,10 +154,13 @@ def _zero_shift(c: Context, k: Candidate) -> list[Column]:
 
 
 def _target(c: Context, k: Candidate) -> list[Column]:
-    step = float(c.hours[-1]) / STEPS
+    """From later moments on; what moved at a moment stood before it where the machine file has it (where it was let
+    stand a tenth of a millimetre off besides, the end effector turned with it)."""
+    step, first = float(c.hours[-1]) / STEPS, k.columns[0].args
+    always = () if float(first.get("since", -1.0)) >= 0.0 else (-1.0,)
     return [
-        Column("points", "target_shift", {"target": k.columns[0].args["target"], "axis": a, "since": since})
-        for since in (-1.0, *(step * j for j in range(1, STEPS))) for a in range(3)
+        Column("points", "target_shift", {"target": first["target"], "axis": a, "since": since})
+        for since in (*always, *(step * j for j in range(1, STEPS))) for a in range(3)
     ]  # fmt: skip
 
 

@@ -198,10 +198,11 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
         units = [_misread(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap", "half_difference"][: len(values)]
-    elif candidate.effect == "creep" and len(values) == len(COMPONENTS):
-        load = WRENCH_COMPONENTS[candidate.columns[0].args["component"]]
-        names, factors = [f"compliance_{component}" for component in COMPONENTS], -factors
-        units = [_per_load("m" if component.startswith("t") else "rad", load) for component in COMPONENTS]
+    elif candidate.effect == "creep" and candidate.component is None and candidate.columns[0].function == "creeping":
+        ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
+        one = len({load for _, load in ways}) == 1
+        names, factors = [f"compliance_{comp}{'' if one else f'_by_{load}'}" for comp, load in ways], -factors
+        units = [_per_load(_unit(comp), load) for comp, load in ways]
     elif candidate.effect == "creep":
         load = WRENCH_COMPONENTS[candidate.columns[0].component]
         whole = candidate.columns[0].function == "creep"  # a share of the deflection of a link, or of all of them

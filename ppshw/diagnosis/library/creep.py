@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import elastic_frames
@@ -12,6 +14,7 @@ from ppshw.terms.shapes import Column, Context
 
 CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
+MUCH, MOST_ELEMENTS = 0.03, 18  # of a link's compliance: beside the largest, and how many
 ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
 
 
@@ -32,7 +35,7 @@ def creeping(c: Context) -> Iterator[Candidate]:
     for form, half, taus in ways:
         shape = dict(zip(("tau_h", "slow_tau_h"), taus, strict=False))
         whole = tuple(Column("frames", "creep", {"tau": tau, "form": form}) for tau in taus)
-        yield Candidate("creep", None, None, None, "since_load_change", whole, shape, 2.0 * half)
+        yield Candidate("creep", None, None, None, "since_load_change", whole, shape, half)
         for frame, name, acting in elastic_frames(c):
             link = tuple(Column("frames", "creep", {"tau": tau, "form": form, "frame": frame}) for tau in taus)
             yield Candidate("creep", name, name, None, "since_load_change", link, shape, half)
@@ -47,6 +50,20 @@ def creeping(c: Context) -> Iterator[Candidate]:
                     where |= {"tau": taus[0]}
                     any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
                     yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
+            if len(taus) == 1 and form in ANY_WAY and len(elements := much_of_it(c, frame, acting)) > 1:
+                of = {"frame": frame, "form": form, "tau": taus[0]}
+                free = tuple(Column("frame", "creeping", {**of, "component": b}, frame, comp) for comp, b in elements)
+                yield Candidate("creep", name, name, None, "since_load_change", free, shape, half)
+
+
+def much_of_it(c: Context, frame: int, acting: Sequence[int]) -> list[tuple[int, int]]:
+    """The elements of a link's compliance, displacement by load, that make much of its deflection, each of which creeps
+    by a share of its own: what is known of a link of which each element is free is too little to have one for all."""
+    gives = np.abs(c.compliance[:, frame]).mean(axis=0) * c.wrenches[:, frame].std(axis=0)
+    size = gives * np.sqrt((c.jacobian[:, :, frame] ** 2).sum(axis=1).mean(axis=0))[:, None]
+    order = np.dstack(np.unravel_index(np.argsort(-size, axis=None), size.shape))[0].tolist()
+    large = [(comp, b) for comp, b in order if b in acting and size[comp, b] > MUCH * size.max()]
+    return sorted(large[:MOST_ELEMENTS])
 
 
 def creeping_from_nothing(c: Context) -> Iterator[Candidate]:

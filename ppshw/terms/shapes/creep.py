@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.terms.history import followed, load_memory
+from ppshw.terms.history import followed, hours_since_change, load_memory
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.wrenches import by_payload, deflection, gravity_at_sensor, payload_wrenches, payloads_of
 
 Array = NDArray[np.float64]
+OLDEST_LOAD_H = "oldest load"  # in a calibration's reference [h]
 
 
 def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
@@ -23,6 +24,14 @@ def creep(c: Context, tau: float, form: str, frame: int = -1) -> Array:
     if frame >= 0:
         missing[:, np.arange(missing.shape[1]) != frame] = 0.0
     return missing
+
+
+def _as_seen(c: Context) -> Array:
+    """(N,) hours, but after a load has lain there for longer than any did in the calibration's recording those of when
+    it had lain there for so long: forms that agree as far as they were seen go far apart beyond."""
+    age = hours_since_change(c.recording.load, c.hours)
+    oldest = c.frozen(OLDEST_LOAD_H, float(age.max(initial=0.0)))
+    return np.asarray(c.hours - np.maximum(age - oldest, 0.0))
 
 
 def _late(c: Context, tau: float, form: str) -> Array:
@@ -40,7 +49,7 @@ def _late(c: Context, tau: float, form: str) -> Array:
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))
         g = gravity_at_sensor(c)
-        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form)
+        held = load_memory(payloads_of(c), c.recording.load, _as_seen(c), tau, form)
         return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
 
     return c.once(("late", tau, form), late)
