@@ -149,6 +149,10 @@ class Calibration:
         own = recording.sha256 == self.provenance.get("recording_sha256")
         return earlier.continued(None if own else self.visits, recording)
 
+    def fitted(self, recording: Recording) -> int:
+        """How many visits of a recording are, by their times, among those it was made from, as far as it keeps them."""
+        return 0 if self.visits is None else int(earlier.shared(self.visits, recording).sum())
+
     @classmethod
     def of(cls, estimate: Estimate, recording: Recording, method: str, now: datetime | None = None) -> Calibration:
         """From an estimate of a recording; visits that were set aside or saw no target do not widen the valid range."""

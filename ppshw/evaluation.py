@@ -93,10 +93,12 @@ def evaluate(
 ) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
     the numbers of visits that no error of a machine explains, whether the calibration was identified from this very
-    recording, and how many visits lie outside what it was identified from; where it carries effects, how many visits of
-    its own recording this one goes on from, how many are at temperatures that its effects were never measured at, and
-    how many so long before or after that what runs on with time is not carried on to them; where structure without a
-    name, how many visits lie where nothing is known of it."""
+    recording, and how many visits lie outside what it was identified from.
+
+    Where it carries effects also how many visits are among its own, how many of its own this recording goes on from,
+    how many are at temperatures that its effects were never measured at, and how many so long before or after that
+    what runs on with time is not carried on to them; where structure without a name, how many visits lie where nothing
+    is known of it."""
     left = nominal_residuals(recording, machine, refit_base)
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
@@ -112,6 +114,8 @@ def evaluate(
         return answer
     whole, rows = calibration.continued(recording)
     answer["earlier_visits"] = len(whole) - len(recording)
+    if not answer["identified_from_it"]:
+        answer["fitted_visits"] = calibration.fitted(recording)
     answer["beyond"] = _beyond(recording, calibration)
     context = Context.of(calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
                          dict(calibration.reference))  # fmt: skip

@@ -58,6 +58,8 @@ def diagnose(a: argparse.Namespace) -> None:
     warnings = doubts_about(machine, recording)
     if not np.isfinite(recording.time).all():
         warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
+    if recording.has_wrench and not any(recording.load):
+        warnings.append("no column load: what goes on after a load was changed is not looked for")
     warn(a.rec, warnings)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
@@ -102,7 +104,7 @@ def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> l
     lines: list[str] = []
     for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
         lines += [
-            f"visits that would tell {called(one)} from {called(other, joint)}:",
+            f"visits that would tell {called(one)} from {called(other)}{f' at {joint}' if joint else ''}:",
             f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
             f"    {plan_options(one, other, joint)} --out next.yaml",
         ]

@@ -103,6 +103,8 @@ def identify(a: argparse.Namespace) -> None:
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.columns import plain_mistakes
+    from ppshw.diagnosis.wording import column_of
+    from ppshw.diagnosis.wording import listed as columns_listed
     from ppshw.evaluation import evaluate as run
     from ppshw.evaluation import residuals
     from ppshw.identification.plausible import refuse_another_machine
@@ -127,6 +129,8 @@ def evaluate(a: argparse.Namespace) -> None:
                      f"same: {listed(off)}")  # fmt: skip
     if answer.get("identified_from_it"):
         lines.append("the calibration was identified from this very recording: not what it is worth on others")
+    if fitted := answer.get("fitted_visits"):
+        lines.append(f"{fitted} of the visits are among those that the calibration was made from")
     if answer.get("earlier_visits"):
         lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
     if outside := answer.get("outside"):
@@ -141,6 +145,7 @@ def evaluate(a: argparse.Namespace) -> None:
         lines.append(f"{held['visits']} visits so long before or after the calibration's own that nobody knows how far "
                      f"{' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
     for u in answer.get("unexplained", ()):
-        lines.append(f"corrected without a name over {' and '.join(u['covariates'])}, by which unsure to "
+        over = columns_listed([column_of(name) for name in u["covariates"]])
+        lines.append(f"corrected without a name over {over}, by which unsure to "
                      f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")
     say(a, answer, folded(lines))

@@ -40,6 +40,19 @@ def known_until(end: float, hours: Array) -> float:
     return 2.0 * end if not len(hours) or hours[0] <= end + PAUSE_S / 3600.0 else end
 
 
+def shared(earlier: Recording, recording: Recording) -> Mask:
+    """Which of the earlier visits are a recording's too, by their times (in order)."""
+    time = recording.time
+    if not len(time) or not (np.isfinite(time).all() and np.isfinite(earlier.time).all()):
+        return np.zeros(len(earlier), dtype=bool)
+    nearest = np.searchsorted(time, earlier.time)
+    apart = np.minimum(
+        np.abs(earlier.time - time[np.minimum(nearest, len(time) - 1)]),
+        np.abs(earlier.time - time[np.maximum(nearest - 1, 0)]),
+    )
+    return np.asarray(apart <= SAME_S)
+
+
 def continued(earlier: Recording | None, recording: Recording) -> tuple[Recording, Mask]:
     """A recording with the earlier visits among its own, by time (those after it say what its loads weigh), and which
     rows are its own.
@@ -52,12 +65,7 @@ def continued(earlier: Recording | None, recording: Recording) -> tuple[Recordin
     time = recording.time
     if not (np.isfinite(time).all() and np.isfinite(earlier.time).all()) or (np.diff(time) < 0).any():
         return recording, own
-    nearest = np.searchsorted(time, earlier.time)
-    apart = np.minimum(
-        np.abs(earlier.time - time[np.minimum(nearest, len(time) - 1)]),
-        np.abs(earlier.time - time[np.maximum(nearest - 1, 0)]),
-    )
-    useful = apart > SAME_S
+    useful = ~shared(earlier, recording)
     if not goes_on(earlier, float(time[0])):
         useful &= earlier.time > time[0]
     if not (useful & (earlier.time < time[-1])).any():

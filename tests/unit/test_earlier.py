@@ -227,6 +227,12 @@ def test_the_command_says_that_a_recording_goes_on(tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out)["earlier_visits"] == 0
 
 
+def test_visits_that_the_calibration_was_made_from_are_counted() -> None:
+    calibration = remembering(whole().subset(np.arange(VISITS) < FIRST))
+    answer = evaluate(whole().subset(np.arange(VISITS) >= FIRST - 7), base().machine, calibration)
+    assert (answer["fitted_visits"], answer["earlier_visits"]) == (7, FIRST - 7)
+
+
 def test_a_twin_goes_on_as_well() -> None:
     together = simulate(remembering(None), whole(), seed=4).points[FIRST:]
     visits = whole().subset(np.arange(VISITS) < FIRST)
