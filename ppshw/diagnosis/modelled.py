@@ -18,7 +18,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import UNNAMED, Effect
-from ppshw.terms.shapes import Column
+from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.carried import region_of
 
 Array = NDArray[np.float64]
@@ -69,8 +69,29 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
         calibration.provenance["columns_set_right"] = mended
     visits = space.recording if effects else None
     laid = space.base.theta if effects else None
-    reference = dict(space.context.reference)
+    reference = _asked_for(space.context, effects)
     return replace(calibration, effects=tuple(effects), reference=reference, visits=visits, laid=laid)
+
+
+class _Asked(dict[str, float]):
+    """Figures of a recording, and which of them anybody asked for."""
+
+    def __init__(self, known: Mapping[str, float]) -> None:
+        super().__init__(known)
+        self.names = {"start", "hours"}
+
+    def setdefault(self, name: str, value: float = 0.0) -> float:
+        self.names.add(name)
+        return super().setdefault(name, value)
+
+
+def _asked_for(c: Context, effects: Sequence[Effect]) -> dict[str, float]:
+    """What a context froze, as far as these effects go by it: of some thousand figures for all that was tried, a few."""
+    reference = _Asked(c.reference)
+    again = replace(c, reference=reference)
+    for column in (column for effect in effects for column in effect.columns):
+        column.value(again)
+    return {name: value for name, value in reference.items() if name in reference.names}
 
 
 def _is_correction(candidate: Candidate) -> bool:
