@@ -86,7 +86,7 @@ class _Asked(dict[str, float]):
 
 
 def _asked_for(c: Context, effects: Sequence[Effect]) -> dict[str, float]:
-    """What a context froze, as far as these effects go by it: of some thousand figures for all that was tried, a few."""
+    """What a context froze, as far as these effects go by it: a few of some thousand figures for all that was tried."""
     reference = _Asked(c.reference)
     again = replace(c, reference=reference)
     for column in (column for effect in effects for column in effect.columns):
