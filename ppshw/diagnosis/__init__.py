@@ -95,7 +95,7 @@ def diagnose(
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
     unnamed = "unsettled" in without
-    scatter = None if riddle else scatter_of(space, seed, any_way=True, nameless=unnamed)
+    scatter = None if riddle else scatter_of(space, seed, True, unnamed, bool(found or gross.visits))
     # what acts through compliances is of its right size beside free ones, and predicts best beside those expected
     free = space.as_learnt(but_elastic=True) if any(f.name[0] in LOADS for f in found) else None
     space = space.as_learnt()

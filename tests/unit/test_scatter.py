@@ -151,6 +151,19 @@ def test_what_a_form_leaves_where_its_effect_is_largest_is_no_scatter(clean: Wor
     assert found.finding["covariate"] == "move_yaw"
 
 
+def test_beside_other_findings_scatter_must_nearly_double(clean: Workspace) -> None:
+    """A bump that a coupling's form left where long moves end was scatter of a factor of 1.3."""
+    rng = np.random.default_rng(7)
+    white = rng.normal(size=clean.data.shape) * _load(clean)[:, None]
+    swings = np.linalg.solve(clean.root, white[..., None])[..., 0]
+    little, much = _noisier(clean, swings), _noisier(clean, 3.0 * swings)
+    found = scatter_of(little, 0, any_way=True)
+    assert found is not None
+    assert 1.2 < found.finding["parameters"]["scatter_ratio"]["value"] < scatter.BESIDE
+    assert scatter_of(little, 0, any_way=True, beside=True) is None
+    assert scatter_of(much, 0, any_way=True, beside=True) is not None
+
+
 def test_scatter_without_its_name_is_unexplained_over_the_column_it_goes_with(clean: Workspace) -> None:
     rng = np.random.default_rng(6)
     white = rng.normal(size=clean.data.shape) * 3.0 * _load(clean)[:, None]
