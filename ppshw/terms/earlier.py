@@ -34,10 +34,14 @@ def goes_on(earlier: Recording, first: float) -> bool:
     return first - float(before.max()) <= max(PAUSE_S, longest)
 
 
-def known_until(end: float, hours: Array) -> float:
-    """Until when a course in time is carried on, for visits at `hours` (N,) since the start of a recording that ended
-    at `end` [h]: for as long again as it lasted where they go on from it, else to its end."""
-    return 2.0 * end if not len(hours) or hours[0] <= end + PAUSE_S / 3600.0 else end
+def known_from_to(end: float, hours: Array) -> tuple[float, float]:
+    """Between which hours a course in time is carried on, for visits at `hours` (N,) since the start of a recording
+    that ended at `end` [h]: for as long again as it lasted where they go on from it, or lead up to it, else to its end
+    and its start."""
+    if not len(hours):
+        return 0.0, end
+    pause = PAUSE_S / 3600.0
+    return -end if hours[-1] >= -pause else 0.0, 2.0 * end if hours[0] <= end + pause else end
 
 
 def shared(earlier: Recording, recording: Recording) -> Mask:

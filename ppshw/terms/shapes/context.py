@@ -14,7 +14,7 @@ from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.earlier import known_until
+from ppshw.terms.earlier import known_from_to
 from ppshw.terms.elastic import Compliance
 from ppshw.terms.history import hours_since
 
@@ -89,9 +89,8 @@ class Context:
 
     @property
     def clock(self) -> Array:
-        """(N,) hours as far as anything is known of what goes by them: not before the recording that a calibration was
-        made from, nor after its end where this one does not go on from it, nor ever for longer than it lasted."""
-        return np.clip(self.hours, 0.0, known_until(self.reference.get("hours", math.inf), self.hours))
+        """(N,) hours as far as anything is known of what goes by them (`known_from_to`)."""
+        return np.clip(self.hours, *known_from_to(self.reference.get("hours", math.inf), self.hours))
 
     def levers(self) -> Array:
         """(N, T, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint (`Noise`)."""

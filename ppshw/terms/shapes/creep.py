@@ -44,7 +44,7 @@ def _late(c: Context, tau: float, form: str) -> Array:
 
     def late() -> Array:
         if form == "began":
-            return np.asarray(c.wrenches[:1] * np.exp(-c.clock / tau)[:, None, None])
+            return np.asarray(c.wrenches[:1] * np.exp(-np.maximum(c.hours, 0.0) / tau)[:, None, None])
         if form in ("wrench", "total"):
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))

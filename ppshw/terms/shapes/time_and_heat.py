@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 def clock(c: Context, form: str, tau: float = 1.0) -> Array:
     """Time since the start.
 
-    form  "linear" [h], "exponential" 1 − e^(−t/τ), "log" ln(1 + t/τ), "step" 1 and "ramp" t − τ from τ on;
-          "cosine" of τ half waves over the recording, held where it was at its end;
+    form  "linear" [h], "exponential" 1 − e^(−t/τ) and "log" ln(1 + t/τ), both 0 before the start; "step" 1 and "ramp"
+          t − τ from τ on; "cosine" of τ half waves over the recording, held where it was at its end;
           "beat_cos" and "beat_sin" of as many, 0 beyond it
     """
     t = c.clock
@@ -29,9 +29,9 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
         case "linear":
             return t
         case "exponential":
-            return np.asarray(1.0 - np.exp(-t / tau))
+            return np.asarray(1.0 - np.exp(-np.maximum(t, 0.0) / tau))
         case "log":
-            return np.asarray(np.log1p(t / tau))
+            return np.asarray(np.log1p(np.maximum(t, 0.0) / tau))
         case "step":
             return step(c, tau)
         case "ramp":
