@@ -29,9 +29,13 @@ def creep(c: Context, tau: float, form: str, frame: int = -1) -> Array:
 def _as_seen(c: Context) -> Array:
     """(N,) hours, but after a load has lain there for longer than any did in the calibration's recording those of when
     it had lain there for so long: forms that agree as far as they were seen go far apart beyond."""
-    age = hours_since_change(c.recording.load, c.hours)
-    oldest = c.frozen(OLDEST_LOAD_H, float(age.max(initial=0.0)))
-    return np.asarray(c.hours - np.maximum(age - oldest, 0.0))
+
+    def as_seen() -> Array:
+        age = hours_since_change(c.recording.load, c.hours)
+        oldest = c.frozen(OLDEST_LOAD_H, float(age.max(initial=0.0)))
+        return np.asarray(c.hours - np.maximum(age - oldest, 0.0))
+
+    return c.once(("as seen",), as_seen)
 
 
 def _late(c: Context, tau: float, form: str) -> Array:
