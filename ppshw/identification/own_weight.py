@@ -45,7 +45,7 @@ def fitted(machine: Machine, sound: Recording, recording: Recording, progress: P
     if other is None:
         return found
     again = estimate(joint_model(replace(machine, bent_by=other), sound), recording, progress=progress)
-    back, std = towards(again, recording, machine.bent_by)
+    (back, std), = towards(again, recording, machine.bent_by)
     return again if odds - _odds(back, std) > SURE and abs(back) < NEAR else found
 
 
@@ -54,7 +54,7 @@ def _likeliest(found: Estimate, recording: Recording) -> tuple[BentBy | None, fl
     visits = int(recording.measured.sum())
     if visits < FEWEST or not any(j.mass > 0 and j.elastic for j in found.model.machine.joints):
         return None, 0.0
-    ways = {other: towards(found, recording, other) for other in TRIED}
+    ways = dict(zip(TRIED, towards(found, recording, *TRIED), strict=True))
     odds = {other: _odds(*way) for other, way in ways.items() if way[1] < np.inf}
     best = max((other for other in odds if odds[other] > TRIED[other]), key=lambda other: odds[other], default=None)
     return best, 0.0 if best is None else odds[best]
@@ -65,15 +65,18 @@ def _odds(share: float, std: float) -> float:
     return (2.0 * share - 1.0) / (2.0 * std**2)
 
 
-def towards(found: Estimate, recording: Recording, other: BentBy) -> tuple[float, float]:
-    """How far a recording would have its estimate go from the way in which it takes the machine as bent (0) to another
-    (1), beside the whole base model, and the standard deviation (infinite where that takes all of it)."""
+def towards(found: Estimate, recording: Recording, *others: BentBy) -> list[tuple[float, float]]:
+    """How far a recording would have its estimate go from the way in which it takes the machine as bent (0) to each of
+    others (1), beside the whole base model, and the standard deviation (infinite where that takes all of it)."""
     visits = np.flatnonzero(recording.measured)
     visits = visits[:: -(-len(visits) // MOST)]
     recording, weights, model = recording.subset(visits), found.weights[visits], found.model
     situation, count = Situation.of(recording), len(visits)
     about = model.linearise(situation, found.theta)
-    otherwise = replace(model, machine=replace(model.machine, bent_by=other)).predict(situation, found.theta)
+    otherwise = [
+        replace(model, machine=replace(model.machine, bent_by=other)).predict(situation, found.theta)
+        for other in others
+    ]
     gap = np.where(recording.seen[..., None], to_base(recording.points, found.measuring_in_base) - about.positions, 0.0)
     root = found.noise.whitener(about.levers, recording.seen) * np.sqrt(weights)[:, None, None]
 
@@ -84,11 +87,9 @@ def towards(found: Estimate, recording: Recording, other: BentBy) -> tuple[float
     base = white(about.design) * prior
     moves = np.sqrt((base**2).mean(axis=0)) > LITTLE
     base, at = base[:, moves], (found.theta / np.where(prior > 0, prior, 1.0))[moves]
-    way = white(otherwise - about.positions)[:, 0]
+    ways = np.concatenate([white(each - about.positions) for each in otherwise], axis=1)
     data = white(gap)[:, 0] + base @ at
-    # what of it no prior draw of the base model makes
-    beyond = way - base @ np.linalg.solve(base.T @ base + np.eye(base.shape[1]), base.T @ way)
-    alone = float(way @ beyond)
-    if not alone > 0.0:
-        return 0.0, np.inf
-    return float(beyond @ data) / alone, alone**-0.5
+    # what of them no prior draw of the base model makes
+    beyond = ways - base @ np.linalg.solve(base.T @ base + np.eye(base.shape[1]), base.T @ ways)
+    alone, along = np.einsum("rk,rk->k", ways, beyond).tolist(), (beyond.T @ data).tolist()
+    return [(b / a, a**-0.5) if a > 0.0 else (0.0, np.inf) for a, b in zip(alone, along, strict=True)]

@@ -89,8 +89,7 @@ def test_a_recording_says_whose_weights_bend_a_joint(measured: Measured, tmp_pat
     machine, recording, bent_by = measured
     found = identify(machine, recording)
     assert found.model.machine.bent_by == bent_by
-    for other in {*PLANTS} - {bent_by}:
-        way, std = towards(found, recording, other)
+    for way, std in towards(found, recording, *({*PLANTS} - {bent_by})):
         assert abs(way) < 4 * std < 0.5
     calibration = Calibration.of(found, recording, "joint")
     calibration.save(tmp_path / "cal.json")
