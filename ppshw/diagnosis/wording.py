@@ -15,7 +15,8 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import courses, numbers_of, rocks
-from ppshw.diagnosis.visibility import TOLD_APART, alias_words, aliases_of
+from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
+from ppshw.diagnosis.weights import as_well_play
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import called
@@ -40,6 +41,8 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         if (effect, joint) != found.name and weight >= LEAST_WEIGHT
     ]
     aliases = [] if candidate.effect == "nameless" else aliases_of(tried, found.name, found.best, values)
+    if (play := as_well_play(space, tried, found)) is not None:  # whatever is measured
+        aliases = [Alias(play, 1.0, 0.0), *(alias for alias in aliases if alias.name != play)]
     return {
         "effect": candidate.effect,
         "joint": candidate.joint,

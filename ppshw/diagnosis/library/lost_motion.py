@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 WINDS_UP = np.array([0.02, 0.04, 0.08, 0.15, 0.3])
 SOFT_WALLS = np.array([0.002, 0.005, 0.01])
 # Once it is known what a joint loses, walls give way by two to eight gaps (sealed cases), and what takes fifteen or a
-# hundred times that is friction (a fourteenth author's 14585 and 14576).
+# hundred times that is friction (a fourteenth author's 14585 and 14576), unless it is over in a five-hundredth of the
+# travel: three of the twenty-second author's plays, whose walls give way by 28 to 37 gaps, were called friction.
 SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file has none [m]; share of winding up so fast
 SOFTEST_KNOWN = 12.0
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
@@ -73,9 +74,9 @@ def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool
     """Whether what a joint lost and takes up over such a way is friction that winds it up: longer than soft walls are
     for what it is known to lose, or for any play that the recording may show (three repeatabilities at the
     reflectors)."""
-    if known is not None:
-        return way > SOFTEST_KNOWN * known
     travel = float(np.ptp(c.recording.q[:, k]))
+    if known is not None:
+        return way > max(SOFTEST_KNOWN * known, SOFT_WALLS[0] * travel * (1 + 1e-9))
     moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
     lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
     lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)
