@@ -119,8 +119,8 @@ class Machine:
 
     @cached_property
     def frame_names(self) -> tuple[str, ...]:
-        """Frames F_0 … F_n: the base, then one per joint (a joint may be called "base" too)."""
-        return ("ground" if "base" in self.joint_names else "base", *self.joint_names)
+        """Frames F_0 … F_n: the base, then one per joint (which may be called "base" too)."""
+        return next(k for k in ("base", "ground", "floor") if k not in self.joint_names), *self.joint_names
 
     @property
     def target_array(self) -> Array:

@@ -37,7 +37,7 @@ def of_its_kind(
 ) -> bool:
     """Whether a rival without a name would bear the name's, by what the name means (contract, §4).
 
-    parallel  frames that never turn against the base: a shift of one of them is the base's and each other's
+    parallel  frames that never turn against the base, which is one: a shift of one of them is each other's
     inside    how columns end that are temperatures within the machine, which move no base: there a slow clock
     """
     here = (named.frame, named.component) == (rival.frame, rival.component)
@@ -46,7 +46,7 @@ def of_its_kind(
         case "cross_coupling":
             return over == set(named.covariates)
         case "drift":
-            return rival.frame == "base" and all(name == "time" or name.endswith(inside) for name in over)
+            return rival.frame == named.frame and all(name == "time" or name.endswith(inside) for name in over)
         case "backlash":  # from which side its joint came, and nothing else
             return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
         case "zero_shift":
@@ -117,9 +117,10 @@ def _of_its_load(named: Candidate, rival: Candidate) -> bool:
 def _alike(named: Candidate, rival: Candidate, parallel: Collection[str]) -> bool:
     """Whether both are shifts, of frames that never turn against the base."""
     shifts = not any((k.component or "").startswith("r") for k in (named, rival))
-    return shifts and {rival.frame, named.frame} <= {"base", *parallel}
+    return shifts and {rival.frame, named.frame} <= set(parallel)
 
 
 def never_turned(machine: Machine) -> list[str]:
-    """Frames behind no revolute joint, whose axes stay parallel to the base's."""
-    return [joint.name for joint in itertools.takewhile(lambda joint: joint.prismatic, machine.joints)]
+    """Frames behind no revolute joint, the base's among them: their axes stay parallel."""
+    rails = itertools.takewhile(lambda joint: joint.prismatic, machine.joints)
+    return [machine.frame_names[0], *(joint.name for joint in rails)]

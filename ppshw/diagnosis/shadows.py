@@ -47,9 +47,9 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
             same_joint = same_joint and (same_place(candidate, other) or candidate.covariate == "time")
         riddle = other.effect == "nameless" and of_a_riddle(candidate, other)
         # what a base that wanders leaves may by chance go with a temperature
-        wanders = other.effect == "drift" and candidate.frame == "base" and "temp_" in candidate.covariate
+        wanders = other.effect == "drift" and candidate.frame == other.frame and "temp_" in candidate.covariate
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
-        by_rail = other.effect == "drift" and candidate.frame in parallel
+        by_rail = other.effect == "drift" and candidate.frame in parallel[1:]
         slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
         # a seat that each load finds anew follows anything slow, if loads lie there for long
         seats = candidate.frame == other.frame and all(column.function == "seated" for column in candidate.columns)

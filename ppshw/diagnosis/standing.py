@@ -96,7 +96,7 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             ahead = min(AHEAD, AHEAD_OF_QUIET * own)
             if f.name[0] in FARTHER_AHEAD:
                 ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
-            slowly = f.name[0] == "drift" and tried.candidates[best].frame == "base"
+            slowly = f.name[0] == "drift" and tried.candidates[best].frame == tried.candidates[f.best].frame
             least = max((1.0 + NEARLY) * own - ahead, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
             behind = rival / HANDICAP > least or against or every < WITH_ALL
             if f.p > NAMED:

@@ -28,6 +28,7 @@ def _rival(
          _rival("yaw", "ty", "q_yaw", "temp_air_C")),
         (_named("drift", None, "base", None, "time"), _rival("base", "tz", "time"), _rival("base", "tz", "temp_air_C")),
         (_named("drift", None, "base", None, "time"), _rival("base", "tz", "time"), _rival("pitch", "tz", "time")),
+        (_named("drift", None, "ground", None, "time"), _rival("ground", "tz", "time"), _rival("base", "tz", "time")),
         (_named("zero_shift", "yaw", "yaw", "ry", "time"), _rival("yaw", "ry", "q_yaw", "time", function="step"),
          _rival("yaw", "ry", "q_yaw", "time", function="clock")),
         (_named("zero_shift", "yaw", "yaw", "ry", "time"), _rival("yaw", "ry", "q_yaw", "time", function="hopping"),
@@ -76,7 +77,7 @@ def test_sides_that_a_load_holds_are_clearance_and_a_load_that_lags_is_creep_at_
 
 def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> None:
     named = _named("zero_shift", "vertical", "vertical", "ty", "time")
-    rails = ("lateral", "vertical")
+    rails = ("base", "lateral", "vertical")
     for frame in ("base", "lateral"):
         assert of_its_kind(named, _rival(frame, "ty", "time", function="step"), rails)
         assert not of_its_kind(named, _rival(frame, "tx", "time", function="step"), rails)
@@ -86,7 +87,7 @@ def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> 
 
 def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> None:
     named = _named("thermal_growth", "vertical", "vertical", None, "temp_air_C")
-    rails = ("lateral", "vertical")
+    rails = ("base", "lateral", "vertical")
     for frame, component in (("base", None), ("base", "tx"), ("lateral", "ty")):
         assert of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"), rails)
         assert not of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"))

@@ -48,18 +48,19 @@ def thermal(c: Context) -> Iterator[Candidate]:
 def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
     forms: list[tuple[str, float]] = [("linear", 1.0)]
     forms += [("exponential", t) for t in (0.3, 0.7, 1.5, 3.0)] + [("log", t) for t in (0.1, 0.5)]
+    base = c.machine.frame_names[0]
     for form, tau in forms:
         all6 = tuple(Column("frame", "clock", {"form": form, "tau": tau}, 0, comp) for comp in range(6))
         shape = {} if form == "linear" else {"tau_h": tau}
-        yield Candidate("drift", None, "base", None, "time", all6[:3], shape, 1.0)
-        yield Candidate("drift", None, "base", None, "time", all6, shape, 1.0)
+        yield Candidate("drift", None, base, None, "time", all6[:3], shape, 1.0)
+        yield Candidate("drift", None, base, None, "time", all6, shape, 1.0)
         for comp in range(6):
-            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", (all6[comp],), shape, 0.5)
+            yield Candidate("drift", None, base, COMPONENTS[comp], "time", (all6[comp],), shape, 0.5)
     for moment in moments:
         for form in ("step", "ramp"):
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
-            yield Candidate("drift", None, "base", None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
-            yield Candidate("drift", None, "base", None, "time", all6, {"time_h": moment}, 1 / len(moments))
+            yield Candidate("drift", None, base, None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
+            yield Candidate("drift", None, base, None, "time", all6, {"time_h": moment}, 1 / len(moments))
         every: list[tuple[range, str | None, float]] = [(range(3), None, 0.3), (range(6), None, 0.3)]
         every += [(range(comp, comp + 1), COMPONENTS[comp], 0.1) for comp in range(6)]
         for comps, said, share in every:  # goes one way, then another
@@ -67,7 +68,7 @@ def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
                 Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
                 for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in comps
             )  # fmt: skip
-            yield Candidate("drift", None, "base", said, "time", turns, {"time_h": moment}, share / len(moments))
+            yield Candidate("drift", None, base, said, "time", turns, {"time_h": moment}, share / len(moments))
     for order in (*WANDERS, *RESTLESS):
         waves = [
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
@@ -75,6 +76,6 @@ def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
         ]
         for comp in range(6):
             share = 0.3 if order in WANDERS else 0.15
-            yield Candidate("drift", None, "base", COMPONENTS[comp], "time", waves[comp], {}, share)
+            yield Candidate("drift", None, base, COMPONENTS[comp], "time", waves[comp], {}, share)
         if order in WANDERS:
-            yield Candidate("drift", None, "base", None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
+            yield Candidate("drift", None, base, None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)

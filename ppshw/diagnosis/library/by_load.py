@@ -146,11 +146,11 @@ def _changes_side(w: Array) -> bool:
 def missing_compliance(c: Context) -> Iterator[Candidate]:
     for frame in range(c.machine.n + 1):
         joint = c.machine.joints[frame - 1] if frame else None
-        name = None if joint is None else joint.name
+        name, there = None if joint is None else joint.name, c.machine.frame_names[frame]
         known = set(joint.elastic.load_indices) if joint is not None and joint.elastic is not None else set()
         for b in loads_on(c, frame):
             for comp in range(6):
-                where = ("missing_compliance", name, name or "base", COMPONENTS[comp], WRENCH_COMPONENTS[b])
+                where = ("missing_compliance", name, there, COMPONENTS[comp], WRENCH_COMPONENTS[b])
                 share = 1.0 if comp == b else 0.05 if skew(*sorted((comp, b))) else 0.2
                 if b not in known:
                     args = {"frame": frame, "component": b}
@@ -171,4 +171,4 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
         acting = [b for b in loads_on(c, frame) if b not in known]
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
-            yield Candidate("missing_compliance", name, name or "base", None, "load", diagonal, {}, 2.0)
+            yield Candidate("missing_compliance", name, there, None, "load", diagonal, {}, 2.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.kinship import never_turned, of_its_kind
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.jumps import Jumps, shifts_of_zero, visits_between
 from ppshw.diagnosis.library.sampled import own_component
@@ -286,3 +287,14 @@ def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jum
         assert best_of(tried, found[0]).covariates == ("q_longitudinal", "time")
         assert len(best_of(tried, found[0]).columns) == len(moments)
         assert tuple(column.args["visit_time"] for column in best_of(tried, found[0]).columns) == moments
+
+
+def test_what_moves_the_base_in_time_is_a_drift_also_where_a_joint_is_called_base(space: Workspace) -> None:
+    first, *others = space.machine.joints
+    machine = replace(space.machine, joints=(replace(first, name="base"), *others))
+    context = replace(space.context, machine=machine)
+    drifts = [k for k in library(context) if k.effect == "drift"]
+    in_time = [k for k in nameless(context) if k.covariates == ("time",) and k.columns[0].frame == 0]
+    assert {k.frame for k in [*drifts, *in_time]} == {"ground"}
+    assert all(of_its_kind(drifts[0], k) for k in in_time)
+    assert never_turned(machine)[:2] == ["ground", "base"]
