@@ -149,7 +149,7 @@ class Compensator:
         where = self.machine.point(point)[None]
         q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
         if not self.position_first and np.abs(left).max() > 1e-5:
-            raise CompensationRefused(f"the corrected pose cannot be reached: {amount(left[0])} are left")
+            raise CompensationRefused(f"no corrected setpoint was found for the pose: {amount(left[0])} are left")
         self._refuse_correction(q[0], nominal)
         uncorrected = self._effected(replace(now, q=nominal), past, where).positions[0, 0]
         ideal = point_positions(self.machine, start, where)

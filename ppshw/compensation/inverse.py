@@ -27,6 +27,9 @@ REACHED, REACHED_IF_ROUNDED = 1e-6, 1e-4  # m, rad
 # A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
 AT_NEAREST = 1e-7
 AT_LIMIT = 1e-9  # m, rad
+# Where effects change faster with the joints than the joints themselves do (a screw whose error is steep) they count in
+# the slope too, by differences over so little [m, rad], from so many starts about where the plain steps went.
+LITTLE, STARTS, STEPS, HALVINGS = 1e-7, 30, 20, 8
 # (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
 EffectErrors = Callable[[Array, Array, Array], Array]
 
@@ -48,6 +51,7 @@ def solve_pose(
     point       (3,) in the end-effector frame [m]: its position goes first, and the orientation is as near as that
                 allows, by what the ideal joints can do, for machines that cannot have both; None: position and
                 orientation alike, which can be had
+                Where plain steps, which leave the effects' slopes out, come to no rest, slopes by differences are tried
     returns     (N, n) joint values, (N, 6) what is left: of the position, of the point if there is one, and the
                 rotation vector, base axes [m, rad]; without a point not converged where that is large
     Raises CompensationRefused where a point is given and Newton's method comes to no rest (near singular poses).
@@ -56,22 +60,27 @@ def solve_pose(
     offset = np.zeros(3) if point is None else point
     share = np.repeat([1.0, 1.0 if point is None else POSITION_FIRST], 3)
     wanted = wanted_tip[:, :3, 3] + wanted_tip[:, :3, :3] @ offset
-    left = np.zeros((len(q), 6))
-    for _ in range(30):
-        if calibration is None:
-            tip, chain = tip_poses(machine, q), frames(machine, q)
-        else:
+    left, went = np.zeros((len(q), 6)), []
+
+    def stands(q: Array) -> tuple[Array, Array, Array]:
+        """Frames and the point with all errors, and what is left (N, 6) of the wanted pose."""
+        errors = None
+        if calibration is not None:
             assert payload is not None
             errors, wrenches = calibration.model.errors(Situation(q, payload), calibration.theta)
             if effects is not None:
                 errors = errors + effects(q, errors, wrenches)
-            chain = frames(machine, q, errors)
-            tip = chain[:, -1] @ machine.tip_in_link
+        chain = frames(machine, q, errors)
+        tip = chain[:, -1] @ machine.tip_in_link
         reached = tip[:, :3, 3] + tip[:, :3, :3] @ offset
-        left[:, :3] = wanted - reached
-        left[:, 3:] = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
-        if np.abs(left[:, :3]).max() < POSITION_TOLERANCE and np.abs(left[:, 3:]).max() < ROTATION_TOLERANCE:
+        turned = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
+        return chain, reached, np.concatenate([wanted - reached, turned], axis=1)
+
+    for _ in range(30):
+        chain, reached, left = stands(q)
+        if _is_reached(left):
             break
+        went.append(q)
         there = reached
         if point is not None:  # errors would lend the joints ways, and levers, that they have by a thousandth only
             chain = frames(machine, q)
@@ -99,7 +108,40 @@ def solve_pose(
                 f"the nearest joint values were not found: '{machine.name}' stands nearly stretched there, or in "
                 "another singular pose"
             )
+        if effects is not None:
+            return _by_slopes(lambda q: stands(q[None])[2][0], np.concatenate(went))
     return q, left
+
+
+def _is_reached(left: Array) -> bool:
+    """Whether of all (…, 6) so little is left."""
+    position, rotation = np.abs(left[..., :3]).max(), np.abs(left[..., 3:]).max()
+    return bool(position < POSITION_TOLERANCE and rotation < ROTATION_TOLERANCE)
+
+
+def _by_slopes(left_at: Callable[[Array], Array], went: Array) -> tuple[Array, Array]:
+    """Newton's method with slopes by differences, every step halved until it helps, from where steps (k, n) went and
+    from elsewhere among them; the first that gets there, else the nearest: (1, n) joint values, (1, 6) what is left."""
+    low, high = went.min(axis=0), went.max(axis=0)
+    starts = np.random.default_rng(0).uniform(low, high, (STARTS, went.shape[1]))
+    starts[0] = went[-1]
+    nearest = went[-1], left_at(went[-1])
+    for q in starts:
+        left = left_at(q)
+        for _ in range(STEPS):
+            if _is_reached(left):
+                return q[None], left[None]
+            moved = np.array([left - left_at(q + LITTLE * one) for one in np.eye(len(q))]).T / LITTLE
+            step = np.linalg.lstsq(moved, left, rcond=1e-9)[0]
+            step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12))
+            tries = (q + step / 2**k for k in range(HALVINGS))
+            better = next((one for one in tries if np.linalg.norm(left_at(one)) < np.linalg.norm(left)), None)
+            if better is None:
+                break
+            q, left = better, left_at(better)
+        if np.linalg.norm(left) < np.linalg.norm(nearest[1]):
+            nearest = q, left
+    return nearest[0][None], nearest[1][None]
 
 
 def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = None) -> Array:

@@ -153,7 +153,9 @@ def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
     return out
 
 
-def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str) -> Array:
+def load_memory(
+    payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str, asked: Array | None = None
+) -> Array:  # fmt: skip
     """What of the load changes is still to come: loads superpose (Boltzmann), Σ ΔL r(age), with
 
         r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
@@ -162,15 +164,18 @@ def load_memory(payload: Array, load: tuple[str, ...], hours: Array, tau: float,
     long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0; before that
     all of it). "last" is what the last change alone does, as the logarithm of its age.
 
-    payload (N, k) in any measure that adds up;  returns (N, k)
+    payload  (N, k) in any measure that adds up
+    hours    (N,) of the visits, which say when loads were changed;  asked (N,) when each is asked for, None: then
+    returns  (N, k)
     """
+    asked = hours if asked is None else asked
     if form == "first":
-        return np.asarray(payload[0] * np.exp(-np.maximum(hours, 0.0) / tau)[:, None])
+        return np.asarray(payload[0] * np.exp(-np.maximum(asked, 0.0) / tau)[:, None])
     out = np.zeros_like(payload)
     for k in range(1, len(payload)):
         if load[k] == load[k - 1]:
             continue
-        age = hours[k:] - 0.5 * (hours[k] + hours[k - 1])
+        age = asked[k:] - 0.5 * (hours[k] + hours[k - 1])
         if form == "exponential":
             remaining = np.exp(-age / tau)
         elif form == "last":

@@ -53,7 +53,7 @@ def _late(c: Context, tau: float, form: str) -> Array:
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))
         g = gravity_at_sensor(c)
-        held = load_memory(payloads_of(c), c.recording.load, _as_seen(c), tau, form)
+        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form, _as_seen(c))
         return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
 
     return c.once(("late", tau, form), late)
