@@ -23,12 +23,12 @@ from ppshw.errors import CampaignError, CompensationRefused
 def corrected_plan(
     plan: Plan,
     compensator: Compensator,
-    final_approach: NDArray[np.int64] | None = None,
+    run_up: NDArray[np.float64] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """The same visits at the setpoints that they will be corrected to, as far as these can be known.
 
-    final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
+    run_up  (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
     Raises CampaignError naming the step, the visit and why its correction would be refused.
     """
     low, high = compensator.calibration.payload_range.T
@@ -37,7 +37,8 @@ def corrected_plan(
         wanted, load = np.array(visit.setpoints), plan.loads[visit.load]
         payload = np.clip(wrench(plan.machine, wanted[None], load.mass, np.array(load.com))[0], low, high)
         before = visit.via or (visits[-1].setpoints if visits else None)
-        given = Circumstances(None if before is None else np.array(before), final_approach)
+        start = None if before is None else np.array(before)
+        given = Circumstances(start, None if run_up is None else np.sign(run_up).astype(np.int64), run_up)
         try:
             found = compensator.for_joints(wanted, payload, given=given)
         except CompensationRefused as refused:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine
 
 Array = NDArray[np.float64]
@@ -48,3 +49,21 @@ def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array
         out[:, i, :3] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], pulls)
         out[:, i, 3:] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], here)
     return out
+
+def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
+    """What the sensor will read at another pose, when the payload only weighs.
+
+    The weight keeps its direction in space and its line of action in the payload; where on that line the centre of mass
+    lies one reading cannot tell, so the point nearest to the sensor is taken. Exact where the sensor only turns about
+    the vertical; for tilts of δ it is off by weight × height × δ.
+
+    payload  (6,) read at joint values `here` (n,);  returns (6,) at `there` (n,)   [N, N·m]
+    """
+    turn = [(tip_poses(machine, q)[0, :3, :3] @ machine.tip_in_link[:3, :3].T @ machine.sensor_in_link[:3, :3])
+            for q in (here, there)]  # fmt: skip
+    force, moment = payload[:3], payload[3:]
+    size = float(force @ force)
+    lever = np.cross(force, moment) / size if size > 0 else np.zeros(3)
+    turned = turn[1].T @ turn[0] @ force
+    along = moment - np.cross(lever, force)  # a pure moment, if there is one, stays with the payload
+    return np.concatenate([turned, np.cross(lever, turned) + along])

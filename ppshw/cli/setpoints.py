@@ -139,13 +139,15 @@ def _found_there(given: Any, site: Any, here: dict[str, float], felt: dict[str, 
     """The circumstances as the site has them; what an option says goes before it."""
     from dataclasses import replace
 
-    approach = np.where(given.approach != 0, given.approach, final_approach(site))
+    last_way = run_up(site)
+    approach = np.where(given.approach != 0, given.approach, np.sign(last_way).astype(np.int64))
+    last_way = np.where(np.sign(last_way) == approach, last_way, 0.0)  # an option says otherwise: by a way unknown
     start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
     around = replace(given.around, temperatures={**felt, **given.around.temperatures})
-    return replace(given, start=start, approach=approach, around=around)
+    return replace(given, start=start, approach=approach, run_up=last_way, around=around)
 
 
-def final_approach(site: Any) -> Any:
-    """(n,) the direction in which the site has an axis always end its moves, 0 where it does not."""
-    sides = {axis.name: axis.approach_from for axis in site.axes}
-    return np.array([-(sides[j] or 0) for j in site.machine.joint_names])
+def run_up(site: Any) -> Any:
+    """(n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]."""
+    ways = {axis.name: -(axis.approach_from or 0) * axis.approach_distance for axis in site.axes}
+    return np.array([ways[j] for j in site.machine.joint_names])

@@ -10,7 +10,7 @@ from shutil import get_terminal_size
 from typing import Any
 
 from ppshw.cli.answers import new_recording, say, warn
-from ppshw.cli.setpoints import final_approach
+from ppshw.cli.setpoints import run_up
 from ppshw.errors import HardwareError
 from ppshw.progress import Bar, folded
 from ppshw.whole_file import file_hash
@@ -63,9 +63,9 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
     warn(a.calibration, warnings := calibration.doubts())
     with Bar() as bar:
-        foreseen = corrected_plan(plan, compensator, final_approach(site), lambda k, n: bar("setpoints", k, n))
+        foreseen = corrected_plan(plan, compensator, run_up(site), lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
-    return Corrections(compensator, final_approach=final_approach(site)), file_hash(a.calibration), warnings
+    return Corrections(compensator, run_up=run_up(site)), file_hash(a.calibration), warnings
 
 
 def check(a: argparse.Namespace) -> None:

@@ -76,12 +76,14 @@ class Circumstances:
 
     start       (n,) joint values that the move starts from; None: unknown
     approach    (n,) direction of each joint's final motion where that is fixed, 0: as `start` has it
+    run_up      (n,) that motion itself, signed, where a site always has one [m, rad]; None: unknown
     before      (n,) direction of the motion before, which a joint keeps that does not move
     loaded_for  how long the load has been on [s]; None: unknown. Asked only where there is no past
     """
 
     start: Array | None = None
     approach: Signs | None = None
+    run_up: Array | None = None
     before: Signs | None = None
     around: Around = field(default_factory=Around)
     loaded_for: float | None = None
@@ -145,7 +147,7 @@ class Compensator:
         start = nominal[None]
         now, past = self._moment(nominal, payload, given), given.past or Past()
         if self.known is not None and given.past is None:
-            past = self.known.loaded_for(now, given.loaded_for)
+            past = self.known.loaded_for(now, given.loaded_for, given.start, given.before)
         where = self.machine.point(point)[None]
         q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
         if not self.position_first and np.abs(left).max() > 1e-5:
@@ -166,7 +168,8 @@ class Compensator:
     def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
         around = given.around
         load = around.load if given.past is not None else "now"
-        return Moment(q, _approach(q, given), payload, around.time, load, around.temperatures)
+        said = around.time, load, around.temperatures
+        return Moment(q, _approach(q, given), payload, *said, given.run_up, given.approach)
 
     def _solved(
         self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances, first: Array | None

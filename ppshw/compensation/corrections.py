@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from ppshw.compensation.compensator import Circumstances, Compensator, Setpoints
 from ppshw.compensation.known_effects import Verdict
-from ppshw.compensation.past import Moment, Past, Signs, approach_of
-from ppshw.kinematics import tip_poses
-from ppshw.machine import Machine
+from ppshw.compensation.past import Moment, Past, approach_of
 from ppshw.recording import Around, Recording
+from ppshw.statics import payload_at
 from ppshw.terms.earlier import goes_on
 
 Array = NDArray[np.float64]
@@ -25,15 +24,15 @@ class Corrections:
 
     after           what the machine did last, for effects that look back; without, the visits that the calibration
                     was made from if the run begins soon after them (`earlier.goes_on`), else nothing
-    final_approach  (n,) where the site has an axis come from one side always, 0 elsewhere
+    run_up          (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
     left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
     position_first  as the compensator's
     """
 
     def __init__(
-        self, compensator: Compensator, after: Recording | None = None, final_approach: Signs | None = None
+        self, compensator: Compensator, after: Recording | None = None, run_up: Array | None = None
     ) -> None:
-        self._compensator, self._final = compensator, final_approach
+        self._compensator, self._run_up = compensator, run_up
         self._past = Past()
         self._visits = compensator.calibration.visits if after is None else None
         if after is not None and compensator.known is not None:
@@ -63,9 +62,11 @@ class Corrections:
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
             last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
             self._past = known.remember(self._past, last)
-        given = Circumstances(last.q, self._final, last.approach, around, None, self._past)
+        final = None if self._run_up is None else np.sign(self._run_up).astype(np.int64)
+        given = Circumstances(last.q, final, self._run_up, last.approach, around, None, self._past)
         found = self._corrected(wanted, payload, given)
-        now = Moment(found.corrected, found.approach, payload, around.time, around.load, around.temperatures)
+        at = around.time, around.load, around.temperatures
+        now = Moment(found.corrected, found.approach, payload, *at, self._run_up)
         self._past = known.remember(self._past, now)
         for verdict in found.effects:
             key = verdict.effect.name, verdict.effect.joint, verdict.why
@@ -76,22 +77,3 @@ class Corrections:
         found = self._compensator.for_joints(wanted, payload, given=given)
         self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
         return found
-
-
-def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
-    """What the sensor will read at another pose, when the payload only weighs.
-
-    The weight keeps its direction in space and its line of action in the payload; where on that line the centre of mass
-    lies one reading cannot tell, so the point nearest to the sensor is taken. Exact where the sensor only turns about
-    the vertical; for tilts of δ it is off by weight × height × δ.
-
-    payload  (6,) read at joint values `here` (n,);  returns (6,) at `there` (n,)   [N, N·m]
-    """
-    turn = [(tip_poses(machine, q)[0, :3, :3] @ machine.tip_in_link[:3, :3].T @ machine.sensor_in_link[:3, :3])
-            for q in (here, there)]  # fmt: skip
-    force, moment = payload[:3], payload[3:]
-    size = float(force @ force)
-    lever = np.cross(force, moment) / size if size > 0 else np.zeros(3)
-    turned = turn[1].T @ turn[0] @ force
-    along = moment - np.cross(lever, force)  # a pure moment, if there is one, stays with the payload
-    return np.concatenate([turned, np.cross(lever, turned) + along])

@@ -16,13 +16,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.compensation.past import Moment, Past, Signs
+from ppshw.compensation.past import Moment, Past, Signs, approach_of
 from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.quantities import called
 from ppshw.recording import Recording
-from ppshw.statics import link_wrenches
+from ppshw.statics import link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
 from ppshw.terms.history import hours_since_change
@@ -40,7 +40,8 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
                      "load_legendre", "load_warm", "softened", "own_weight", "hanging", "pair", "pair_waves", "product",
                      "body_weight", "sensor_error", "sensor_off", "pulled", "scale", "target_shift", "covariate",
                      "covariate_pair", "unexplained", "instead"})  # fmt: skip
-FROM_APPROACH = frozenset({"approach", "approach_q", "reversal", "turning", "slipping", "winding"})
+FROM_WAY = frozenset({"reversal", "turning", "slipping", "winding"})  # as far as a joint has gone since it turned back
+FROM_APPROACH = frozenset({"approach", "approach_q"}) | FROM_WAY
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
@@ -119,6 +120,9 @@ class KnownEffects:
             if place and place not in now.temperatures:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
         reserve = []
+        ways = {int(c.args["joint"]) for c in effect.columns if c.function in FROM_WAY}
+        if now.run_up is None and any(all(m.q[j] == now.q[j] for m in past.moments) for j in ways):
+            reserve.append("how far the joint has gone since it turned back is not known; taken as far")
         oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
         if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
             reserve.append(
@@ -142,10 +146,10 @@ class KnownEffects:
         What is not known there is taken where the base model has it: on average.
         """
         out = np.zeros_like(base)
-        context = self._context(now, past, base, wrenches)
+        contexts = self._contexts(now, past, base, wrenches)
         for effect in self.effects:
             for column, value in zip(effect.columns, effect.values, strict=True):
-                self._add(out, effect, column, value, context)
+                self._add(out, effect, column, value, contexts)
         return out
 
     def unsure(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Array, Array]:
@@ -153,7 +157,7 @@ class KnownEffects:
         model's parameters would have less in each case (k, p). The sum of the squares of a displacement by both is the
         variance that this brings to it. Of a Gaussian process nothing is used: the whole of it stays unsure, per
         component."""
-        context = self._context(now, past, base, wrenches)
+        contexts = self._contexts(now, past, base, wrenches)
         out, instead = [np.zeros((0, *base.shape[1:]))], [np.zeros((0, len(self._theta)))]
         for effect in self.effects:
             first = effect.columns[0]
@@ -164,7 +168,7 @@ class KnownEffects:
                 continue
             units = np.zeros((len(effect.columns), *base.shape[1:]))
             for k, column in enumerate(effect.columns):
-                self._add(units[k : k + 1], effect, column, 1.0, context)
+                self._add(units[k : k + 1], effect, column, 1.0, contexts)
             out.append(np.tensordot(effect.spread, units, axes=1))
             instead.append(effect.spread @ effect.mimicked_by(len(self._theta)))
         return np.concatenate(out), np.concatenate(instead)
@@ -176,7 +180,7 @@ class KnownEffects:
         From which side a joint comes is either, a temperature anything that was measured, a load as old as any; what
         goes by the clock is where it was at any moment of the recording, and may be farther off since.
         """
-        out = self._at_any_moment(self._context(now, past, base, wrenches))
+        out = self._at_any_moment(self._contexts(now, past, base, wrenches)[0])
         for ways in self._ways(now, past):
             each = np.concatenate([self.errors(then, before, base, wrenches) for then, before in ways])
             out.append((each - each.mean(axis=0)) / np.sqrt(len(ways)))
@@ -194,9 +198,21 @@ class KnownEffects:
             if math.isfinite(high - low):
                 felt = [{**now.temperatures, place: low + share * (high - low)} for share in EVENLY]
                 yield [(replace(now, temperatures=each), past) for each in felt]
+        first = past.moments[0] if past.moments else now
+        for joint in sorted(j for j in self._winds_up() if now.approach[j] and not first.approach[j]):
+            firsts = (replace(first, approach=_with(first.approach, joint, side)) for side in (-1, 1))
+            yield [(now, replace(past, moments=(one, *past.moments[1:]))) for one in firsts]
         if self._creeps and not past.known:
             hours = self._reference.get("hours", 0.0)
-            yield [(now, self.loaded_for(now, 3600.0 * age)) for age in (0.0, min(UNSAID_H, hours), hours)]
+            yield [
+                (now, self.loaded_for(now, 3600.0 * age, first.q, first.approach))
+                for age in (0.0, min(UNSAID_H, hours), hours)
+            ]
+
+    def _winds_up(self) -> set[int]:
+        """Joints whose effects ask how far they have gone since they turned back."""
+        columns = (c for e in self.effects if not e.of_instrument for c in e.columns)
+        return {int(c.args["joint"]) for c in columns if c.function in FROM_WAY}
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""
@@ -224,10 +240,12 @@ class KnownEffects:
             self._courses[key] = values
         return values
 
-    def _add(self, out: Array, effect: Effect, column: Column, value: float, context: Context) -> None:
+    def _add(
+        self, out: Array, effect: Effect, column: Column, value: float, contexts: tuple[Context, Context]
+    ) -> None:  # fmt: skip
         if effect.of_instrument or column.args.get("form") in BEFORE_IT:
             return
-        size = self._now(effect, column, context)
+        size = self._now(effect, column, contexts[column.function in FROM_WAY])
         if column.on == "frame":
             out[0, column.frame, column.component] += value * size
         else:
@@ -251,11 +269,15 @@ class KnownEffects:
         out[column.args["frame"], column.args["components"]] = values
         return out
 
-    def _context(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Context:
+    def _contexts(self, now: Moment, past: Past, base: Array, wrenches: Array) -> tuple[Context, Context]:
+        """What columns see, and what those see that ask for the way since a joint turned back: directions that nobody
+        sees to are those of the way itself there, which a setpoint in hand may have turned."""
         machine, here = self.machine, Situation(now.q[None], now.payload[None])
         chain = frames(machine, here.q, base)
         compliance = self._compliance(here)
-        moments = [*past.moments, now]
+        ways = now.ways(past.moments[-1].q if past.moments else now.q)
+        moments = [*past.moments, *ways]
+        wrenches, chain, compliance = (np.repeat(a, len(ways), axis=0) for a in (wrenches, chain, compliance))
         wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)
         reference = dict(self._reference)
         start = reference.get("start", 0.0)
@@ -266,11 +288,18 @@ class KnownEffects:
             time = np.concatenate([[min(2 * put_on - time[0], time[0])], time])
             chain, compliance = (np.concatenate([a[:1], a]) for a in (chain, compliance))
             wrenches = np.concatenate([link_wrenches(machine, chain[:1], np.zeros((1, 6))), wrenches])
-        empty = np.zeros((len(moments), 0))
-        return Context(
-            machine, self._as_recording(moments, time), empty, wrenches, empty, empty, chain, compliance,
+        empty, recording = np.zeros((len(moments), 0)), self._as_recording(moments, time)
+        context = Context(
+            machine, recording, empty, wrenches, empty, empty, chain, compliance,
             self._measuring, (time - start) / 3600.0, reference,
         )  # fmt: skip
+        straight = approach_of(moments[-2].q, now.q, now.approach) if len(moments) > 1 else now.approach
+        seen_to = np.zeros(machine.n) if now.seen_to is None else now.seen_to
+        straight = np.where(seen_to != 0, now.approach, straight)
+        if np.array_equal(straight, now.approach):
+            return context, context
+        turned = replace(recording, approach=np.concatenate([recording.approach[:-1], straight[None]]))
+        return context, replace(context, recording=turned)
 
     def _compliance(self, here: Situation) -> Array:
         """(M, n+1, 6, 6) of every frame. It changes by less than a hundredth within SAME: a correction in hand is
@@ -314,6 +343,9 @@ class KnownEffects:
         further back than the recording was long, as nobody has seen what an effect does then."""
         if not moments:
             return past
+        befores = [*past.moments[-1:], *moments]  # where each came from; of the first nobody knows more
+        befores = befores if past.moments else [moments[0], *moments]
+        moments = tuple(w for m, before in zip(moments, befores, strict=False) for w in m.ways(before.q))
         here = Situation(np.array([m.q for m in moments]), np.array([m.payload for m in moments]))
         errors, wrenches = self._model.errors(here, self._theta)
         chain = frames(self.machine, here.q, errors)
@@ -342,8 +374,15 @@ class KnownEffects:
         ]  # fmt: skip
         return self.remember(Past(recorded=True), *moments)
 
-    def loaded_for(self, now: Moment, seconds: float | None) -> Past:
-        """A past that only says for how long the load has been on (None: nobody knows)."""
+    def loaded_for(
+        self, now: Moment, seconds: float | None, start: Array | None = None, before: Signs | None = None
+    ) -> Past:  # fmt: skip
+        """A past that only says for how long the load has been on (None: nobody knows), where the move starts from, and
+        from which sides its joints came there (0: either)."""
+        if start is not None:
+            payload = payload_at(self.machine, now.payload, now.q, start)
+            approach = np.zeros(self.machine.n, dtype=np.int64) if before is None else before
+            now = replace(now, q=start, payload=payload, approach=approach, run_up=None)
         age = 3600.0 * UNSAID_H if seconds is None else seconds
         age = min(age, 3600.0 * self._reference.get("hours", math.inf))
         at = self._times([now])[0]

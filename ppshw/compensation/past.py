@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ class Moment:
     q, approach   (n,) [m, rad]; −1, 0 (unknown), 1
     payload       (6,) on the sensor, sensor frame   [N, N·m]
     time          [s] since 1970, nan: unknown;   load: its label;   temperatures: place → °C
+    run_up        (n,) the last way there of joints that a site has come from one side, signed [m, rad]; None: no such
+    seen_to       (n,) directions that somebody sees to, whatever way a move goes; None: it goes straight there
     """
 
     q: Array
@@ -29,6 +31,15 @@ class Moment:
     time: float = math.nan
     load: str = ""
     temperatures: Mapping[str, float] = field(default_factory=dict)
+    run_up: Array | None = None
+    seen_to: Signs | None = None
+
+    def ways(self, before: Array) -> tuple[Moment, ...]:
+        """This moment, and the one before it where joints had gone to from `before` (n,) for their run-up."""
+        if self.run_up is None or not self.run_up.any():
+            return (self,)
+        turned = self.q - self.run_up
+        return replace(self, q=turned, approach=approach_of(before, turned, self.approach), run_up=None), self
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
-from ppshw.compensation.corrections import payload_at
 from ppshw.compensation.inverse import nominal_joints, solve_pose
 from ppshw.errors import CompensationRefused
 from ppshw.identification import identify
 from ppshw.kinematics import freedoms, tip_poses
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
+from ppshw.statics import payload_at
 from ppshw.transforms import from_xyz_rpy
 from simulators.chain import link_poses
 from simulators.offline import simulate_recording_csv

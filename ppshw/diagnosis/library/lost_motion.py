@@ -76,7 +76,7 @@ def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool
     reflectors)."""
     travel = float(np.ptp(c.recording.q[:, k]))
     if known is not None:
-        return way > max(SOFTEST_KNOWN * known, SOFT_WALLS[0] * travel * (1 + 1e-9))
+        return way > max(SOFTEST_KNOWN * known, float(SOFT_WALLS[0]) * travel * (1 + 1e-9))
     moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
     lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
     lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)
