@@ -8,6 +8,7 @@ nothing is retried behind the operator's back.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -106,6 +107,8 @@ class _Run:
         self._map, self._map_label, self._progress = setpoint_map, map_label, progress
         self._joints = plan.machine.joint_names
         self._load: str | None = None
+        self._put_on = math.nan  # when it was put on [s] since 1970
+        self._lay_before: Array | None = None  # wrench before that
         self._noticed: str | None = None  # when trouble was noticed, where it is raised later
         self._measured = 0
         self._lost = 0
@@ -268,7 +271,8 @@ class _Run:
             return wanted
         now = self._bench.axes.positions()
         wrench = np.zeros(6) if self._bench.force_sensor is None else self._bench.force_sensor.read().wrench
-        around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures())
+        put_on = self._put_on, self._lay_before
+        around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures(), *put_on)
         here = np.array([now[j] for j in self._joints])
         who = f"visit {visit.index} ({visit.step}), corrected"
         try:
@@ -300,10 +304,12 @@ class _Run:
             return
         load = self._plan.loads.get(visit.load)
         assert load is not None, f"visit {visit.index} has a load '{visit.load}' that the script does not define"
-        self._baseline(file, f"before the change to load {load.name}")
-        asked = self._now()
+        self._lay_before = self._baseline(file, f"before the change to load {load.name}")
+        asked, began = self._now(), self._bench.clock.utc().timestamp()
         with self._watched():
             answer = self._operator.change_load(load)
+        lay_there = self._load is None and run_notes.last_visit(file).get("load") == load.name  # all the time, perhaps
+        self._put_on = math.nan if lay_there else 0.5 * (began + self._bench.clock.utc().timestamp())
         mass = load.mass if answer.mass is None else answer.mass
         note = {"asked": asked, "operator": answer.name, "mass_kg": mass, **asdict(load)}
         text = f"{load.name}: {mass:g} kg put on by {answer.name}"
@@ -312,11 +318,12 @@ class _Run:
         self._load = load.name
         self._baseline(file, f"after the change to load {load.name}")
 
-    def _baseline(self, file: RecordingFile, when: str) -> None:
+    def _baseline(self, file: RecordingFile, when: str) -> Array | None:
         if not self._plan.script.baseline or self._bench.force_sensor is None:
-            return
+            return None
         reading = self._bench.force_sensor.read()
         self._log(file, "baseline", when, {**run_notes.raw_wrench(reading), "q": self._bench.axes.positions()})
+        return reading.wrench
 
     def _wait_for_temperature(self, file: RecordingFile, visit: Visit, last: Visit | None) -> Command | None:
         """Returns when all places are inside their window, or what the operator wants done instead of waiting."""

@@ -56,12 +56,15 @@ class Table:
 class Around:
     """What surrounds the machine when a setpoint is computed.
 
-    time [s] since 1970, nan: unknown;  load: label of what lies on it;  temperatures: place → °C
+    time [s] since 1970, nan: unknown;  load: label of what lies on it;  temperatures: place → °C;  put_on [s] since
+    1970: when that load was put on, nan: unknown;  lay_before (6,) [N, N·m]: what the sensor read before that
     """
 
     time: float = math.nan
     load: str = ""
     temperatures: Mapping[str, float] = field(default_factory=dict)
+    put_on: float = math.nan
+    lay_before: Array | None = None
 
 
 @dataclass(frozen=True)

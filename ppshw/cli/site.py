@@ -6,6 +6,7 @@ import argparse
 import textwrap
 from collections.abc import Sequence
 from itertools import zip_longest
+from pathlib import Path
 from shutil import get_terminal_size
 from typing import Any
 
@@ -65,7 +66,20 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     with Bar() as bar:
         foreseen = corrected_plan(plan, compensator, run_up(site), lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
-    return Corrections(compensator, run_up=run_up(site)), file_hash(a.calibration), warnings
+    correct = Corrections(compensator, run_up=run_up(site), so_far=_so_far(Path(a.out), site.machine))
+    return correct, file_hash(a.calibration), warnings
+
+
+def _so_far(out: Path, machine: Any) -> Any:
+    """The visits of a run that goes on; None of one that begins."""
+    from ppshw.recording import load_recording
+    from ppshw.recording_file import RecordingFile, is_sqlite
+
+    if not out.is_file() or not is_sqlite(out):
+        return None
+    with RecordingFile.open(out, readonly=True) as file:
+        begun = bool(file.done())
+    return load_recording(out, machine) if begun else None
 
 
 def check(a: argparse.Namespace) -> None:

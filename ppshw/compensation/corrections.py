@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from ppshw.compensation.known_effects import Verdict
 from ppshw.compensation.past import Moment, Past, approach_of
 from ppshw.recording import Around, Recording
 from ppshw.statics import payload_at
-from ppshw.terms.earlier import goes_on
+from ppshw.terms.earlier import another_load, continued, goes_on
 
 Array = NDArray[np.float64]
 # An axis that stands this near to where it was sent last leaves from there, whatever its encoder rounds [m, rad].
@@ -22,19 +23,25 @@ AT_REST = 1e-4
 class Corrections:
     """Corrected setpoints of one run, each with the moves before it as its past: for a campaign.
 
-    after           what the machine did last, for effects that look back; without, the visits that the calibration
-                    was made from if the run begins soon after them (`earlier.goes_on`), else nothing
+    after           what the machine did last, for effects that look back
+    so_far          the visits of this run that there are already, where it goes on with it. These, or the visits that
+                    the calibration was made from, are what the machine did last if it goes on soon after them
+                    (`earlier.goes_on`) and nothing else is said
     run_up          (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
     left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
     position_first  as the compensator's
     """
 
     def __init__(
-        self, compensator: Compensator, after: Recording | None = None, run_up: Array | None = None
-    ) -> None:
+        self, compensator: Compensator, after: Recording | None = None, run_up: Array | None = None,
+        so_far: Recording | None = None,
+    ) -> None:  # fmt: skip
         self._compensator, self._run_up = compensator, run_up
         self._past = Past()
         self._visits = compensator.calibration.visits if after is None else None
+        if so_far is not None:
+            self._visits = continued(self._visits, so_far)[0]
+        self._loads: set[str] = set()  # that this run has met
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
@@ -57,6 +64,14 @@ class Corrections:
             return self._corrected(wanted, payload, Circumstances()).corrected
         if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
             self._past = known.past_of(self._visits)
+        if around.load not in self._loads:
+            self._past = _told_apart(self._past, around.load, wrench)
+            self._loads.add(around.load)
+        age = around.time - around.put_on
+        if not self._past.moments and age >= 0 and around.lay_before is not None:
+            came = np.zeros(len(here), dtype=np.int64)
+            stands = Moment(here, came, wrench, around.time, around.load, around.temperatures)
+            self._past = known.loaded_for(stands, age, lay_before=around.lay_before)
         last = self._past.moments[-1] if self._past.moments else None
         if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
@@ -77,3 +92,12 @@ class Corrections:
         found = self._compensator.for_joints(wanted, payload, given=given)
         self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
         return found
+
+
+def _told_apart(past: Past, load: str, wrench: Array) -> Past:
+    """A past in which another load than the one that reads `wrench` (6,) has another label."""
+    there = np.array([m.payload for m in past.moments if m.load == load])
+    if not len(there) or not another_load(there, wrench[None]):
+        return past
+    moments = (replace(m, load=f"earlier {load}") if m.load == load else m for m in past.moments)
+    return replace(past, moments=tuple(moments))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.errors import CompensationRefused
-from ppshw.kinematics import frames, freedoms, joint_jacobian, tip_poses, travel
+from ppshw.kinematics import frames, freedoms, joint_jacobian, travel
 from ppshw.machine import Machine
 from ppshw.quantities import angle, distance, rounded
 from ppshw.terms import Situation
@@ -126,8 +126,8 @@ def _by_slopes(left_at: Callable[[Array], Array], went: Array) -> tuple[Array, A
     starts = np.random.default_rng(0).uniform(low, high, (STARTS, went.shape[1]))
     starts[0] = went[-1]
     nearest = went[-1], left_at(went[-1])
-    for q in starts:
-        left = left_at(q)
+    for start in starts:
+        q, left = start, left_at(start)
         for _ in range(STEPS):
             if _is_reached(left):
                 return q[None], left[None]

@@ -375,10 +375,11 @@ class KnownEffects:
         return self.remember(Past(recorded=True), *moments)
 
     def loaded_for(
-        self, now: Moment, seconds: float | None, start: Array | None = None, before: Signs | None = None
+        self, now: Moment, seconds: float | None, start: Array | None = None, before: Signs | None = None,
+        lay_before: Array | None = None,
     ) -> Past:  # fmt: skip
-        """A past that only says for how long the load has been on (None: nobody knows), where the move starts from, and
-        from which sides its joints came there (0: either)."""
+        """A past that only says for how long the load has been on (None: nobody knows), where the move starts from,
+        from which sides its joints came there (0: either), and what the sensor read before the load, of what had lain there for long (None: nothing)."""
         if start is not None:
             payload = payload_at(self.machine, now.payload, now.q, start)
             approach = np.zeros(self.machine.n, dtype=np.int64) if before is None else before
@@ -386,10 +387,11 @@ class KnownEffects:
         age = 3600.0 * UNSAID_H if seconds is None else seconds
         age = min(age, 3600.0 * self._reference.get("hours", math.inf))
         at = self._times([now])[0]
-        empty = replace(now, payload=np.zeros(6), load="before", time=at - age - 0.1)
-        put_on = replace(now, load="now", time=at - age + 0.1)
+        lay = np.zeros(6) if lay_before is None else lay_before
+        empty = replace(now, payload=lay, load="before", time=at - age - 0.1)
+        put_on = replace(now, time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
-        return replace(past, known=seconds is not None)
+        return replace(past, known=seconds is not None, recorded=lay_before is not None)
 
 
 def _with(approach: Signs, joint: int, side: int) -> Signs:

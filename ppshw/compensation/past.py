@@ -47,7 +47,7 @@ class Past:
     """What went before a move, oldest first, with what the base model says of every moment: (M, …) as in Context.
 
     known     whether it reaches back to the last change of load
-    recorded  whether it begins with a recording's first visit
+    recorded  whether it begins with a recording's first visit, or with what else had lain there for long
     """
 
     moments: tuple[Moment, ...] = ()

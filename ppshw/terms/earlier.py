@@ -80,14 +80,17 @@ def continued(earlier: Recording | None, recording: Recording) -> tuple[Recordin
     return _joined(_told_apart(earlier, recording), recording).subset(order), rows[order]
 
 
+def another_load(one: Array, other: Array) -> bool:
+    """Whether readings (N, 6) and (M, 6) under one label are of two loads, by their forces."""
+    forces = [float(np.linalg.norm(wrench[:, :3], axis=1).mean()) for wrench in (one, other)]
+    return abs(forces[0] - forces[1]) > SAME_LOAD_N + 0.1 * max(forces)
+
+
 def _told_apart(earlier: Recording, recording: Recording) -> Recording:
     """The earlier visits with a load's label changed where the later ones have another load under it."""
     others = set()
     for label in set(earlier.load) & set(recording.load):
-        forces = [
-            float(np.linalg.norm(r.wrench[np.array(r.load) == label, :3], axis=1).mean()) for r in (earlier, recording)
-        ]
-        if abs(forces[0] - forces[1]) > SAME_LOAD_N + 0.1 * max(forces):
+        if another_load(*(r.wrench[np.array(r.load) == label] for r in (earlier, recording))):
             others.add(label)
     return replace(earlier, load=tuple(f"earlier {label}" if label in others else label for label in earlier.load))
 

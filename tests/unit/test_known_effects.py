@@ -262,7 +262,8 @@ def test_a_wave_as_steep_as_the_joint_s_own_way_is_taken_out(slope: float) -> No
         wanted = POSE - down * UP / UP.max()
         found = compensator.for_joints(wanted, payload(), "treatment")
         there = size * float(np.sin(2 * np.pi * found.corrected[VERTICAL] / period))
-        predicted = miss(found.corrected, there) + [0.0, float(down), 0.0]
+        predicted = miss(found.corrected, there)
+        predicted[TY] += float(down)
         assert np.linalg.norm(predicted) < 5e-5
 
 
@@ -324,6 +325,60 @@ def test_creep_that_a_run_brings_along_is_that_of_the_age_of_its_load() -> None:
     asked_for = asked(compensator, loaded_for=7200.0).corrected
     np.testing.assert_allclose(there, asked_for, atol=5e-7)  # the load is weighed at two poses
     assert np.abs(there - asked(Compensator(base()[1])).corrected).max() > 1e-6
+
+
+def creeping_over_half_an_hour() -> Compensator:
+    args = {"frame": VERTICAL + 1, "component": 3, "tau": 0.5, "form": "exponential"}
+    return knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+
+
+@pytest.mark.parametrize("lay_before", [0.0, 0.5])
+def test_creep_of_a_run_s_first_load_is_by_when_it_was_put_on_and_what_lay_there_before(lay_before: float) -> None:
+    compensator = creeping_over_half_an_hour()
+    at = Around(1.7e9, "box", {}, 1.7e9 - 600.0, lay_before * payload())
+    there = Corrections(compensator)(POSE, payload(), POSE, at)
+    plain = asked(Compensator(base()[1])).corrected
+    # superposed: what is still to come of the load that was added, of a load that lay there for long nothing
+    missing = (1.0 - lay_before) * (asked(compensator, loaded_for=600.0).corrected - plain)
+    np.testing.assert_allclose(there - plain, missing, atol=2e-7)
+    assert np.abs(missing).max() > 1e-6
+
+
+def test_another_load_under_the_label_of_one_that_lay_there_before_is_another_load() -> None:
+    """0.43 mm off, of 0.02, where the run's first load had the label of the calibration recording's last."""
+    ends = []
+    for label in ("box", "another"):
+        compensator = creeping_over_half_an_hour()
+        one = replace(measured().subset(np.arange(3)), load=("box",) * 3, time=1.7e9 + 60.0 * np.arange(3))
+        move, here = Corrections(compensator, after=one), POSE
+        heavier = 1.5 * payload()
+        ends.append(move(POSE, heavier, here, Around(1.7e9 + 600.0, label)))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+
+
+def test_a_run_that_goes_on_knows_its_own_visits() -> None:
+    moves = [(BELOW, 0.0, "a"), (POSE, 300.0, "a"), (ABOVE, 900.0, "b"), (POSE, 1200.0, "b")]
+    compensator = creeping_over_half_an_hour()
+
+    def run(some: list[tuple[Array, float, str]], correct: Corrections, here: Array) -> list[Array]:
+        out = []
+        for wanted, seconds, load in some:
+            here = correct(wanted, (0.6 if load == "a" else 1.0) * payload(), here, Around(1.7e9 + seconds, load))
+            out.append(here)
+        return out
+
+    def visited(ends: list[Array]) -> Recording:
+        n = len(ends)
+        return replace(
+            measured().subset(np.arange(n)), q=np.array(ends), time=1.7e9 + np.array([s for _, s, _ in moves[:n]]),
+            load=tuple(load for *_, load in moves[:n]), temperatures={},
+            wrench=np.outer([0.6 if load == "a" else 1.0 for *_, load in moves[:n]], payload()),
+        )  # fmt: skip
+
+    whole = [BELOW, *run(moves[1:], Corrections(compensator, so_far=visited([BELOW])), BELOW)]
+    gone_on = run(moves[3:], Corrections(compensator, so_far=visited(whole[:3])), whole[2])
+    forgotten = run(moves[3:], Corrections(compensator), whole[2])
+    assert np.abs(gone_on[0] - whole[3]).max() < 0.1 * np.abs(forgotten[0] - whole[3]).max()
 
 
 # --- what cannot ------------------------------------------------------------------------------------------------------
