@@ -45,6 +45,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
+    from ppshw.diagnosis.search import MOST_FINDINGS
     from ppshw.diagnosis.wording import how_sure, unexplained
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.recording import load_recording
@@ -63,6 +64,9 @@ def diagnose(a: argparse.Namespace) -> None:
     warn(a.rec, warnings)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
+    if len({(candidate.effect, candidate.joint) for _, candidate in found.found}) >= MOST_FINDINGS:
+        warnings.append(f"the search ended at {MOST_FINDINGS} effects: there may be more")
+        warn(a.rec, warnings[-1:])
     answer = {**found.answer, "warnings": warnings}
     if a.page is not None:
         from ppshw.report.diagnosis import write_diagnosis

@@ -379,7 +379,8 @@ class KnownEffects:
         lay_before: Array | None = None,
     ) -> Past:  # fmt: skip
         """A past that only says for how long the load has been on (None: nobody knows), where the move starts from,
-        from which sides its joints came there (0: either), and what the sensor read before the load, of what had lain there for long (None: nothing)."""
+        from which sides its joints came there (0: either), and what the sensor read before the load, of what had lain
+        there for long (None: nothing)."""
         if start is not None:
             payload = payload_at(self.machine, now.payload, now.q, start)
             approach = np.zeros(self.machine.n, dtype=np.int64) if before is None else before

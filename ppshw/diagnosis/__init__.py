@@ -40,6 +40,7 @@ LEAST_VISITS = 40
 MOST_LOOKS = 3
 TAKEN = 4.0  # times as large as what the base model leaves of it
 COLUMNS_PER_VISIT = 1 / 3  # of one candidate, at most
+SAME_PERIOD = 0.05  # by which periods of one wave may differ, whose height changes along its joint's travel
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ def _answer(
     visits that are."""
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = wrong + [finding(free, tried, f) for f in _merged(named)]
+    findings = wrong + [finding(free, tried, f) for f in _each_once(tried, named)]
     unexplained = left_at_a_place(space, gross)
     if scatter is not None and not unnamed:
         findings.append(scatter.finding)
@@ -235,14 +236,20 @@ def _answer(
     return answer, carried
 
 
-def _merged(found: list[Found]) -> list[Found]:
-    """One finding per effect: what was taken up later under the same name, at this joint or another, mends its form."""
-    kept: dict[str, Found] = {}
+def _each_once(tried: Tried, found: list[Found]) -> list[Found]:
+    """One finding per effect and joint: what was taken up later under the same name there mends its form, but for
+    another reflector, another joint that a coupling goes with, and a wave of another period."""
+    kept: list[Found] = []
     for f in found:
-        first = kept.setdefault(f.name[0], f)
-        if first is not f:
-            first.weights = {**first.weights, f.name: first.weights.get(f.name, 0.0)}
-    return list(kept.values())
+        mine = tried.candidates[f.best]
+        theirs = [tried.candidates[g.best] for g in kept if g.name == f.name]
+        if f.name[0] in ("target_moved", "cross_coupling"):
+            theirs = [k for k in theirs if k.covariate == mine.covariate]
+        if "period" in mine.shape:
+            theirs = [k for k in theirs if abs(k.shape["period"] / mine.shape["period"] - 1.0) < SAME_PERIOD]
+        if not theirs:
+            kept.append(f)
+    return kept
 
 
 def _noise_floor(space: Workspace) -> float:

@@ -27,7 +27,10 @@ from ppshw.diagnosis.standing import drop_what_riddles_leave, give_up
 from ppshw.diagnosis.weights import weigh
 from ppshw.diagnosis.workspace import Workspace
 
-MOST_FINDINGS, MOST_PIECES = 5, 8  # effects; what is taken up for them, where one acts in several directions
+# Effects; what is taken up for them, where one acts in several directions. Play in all six joints of an arm is six;
+# what has no name leaves something anywhere, and is followed less far.
+MOST_FINDINGS, MOST_PIECES = 8, 12
+MOST_BESIDE_RIDDLES, PIECES_BESIDE_RIDDLES = 5, 8
 # In another component, or at another joint, it is so only where hardly anything speaks against it: play in one drive
 # makes none of another's friction play (backlash 239.5 where friction said 276.0, in a case of both), and clearance
 # about one axis no stiffness about another clearance (430 and 446).
@@ -130,7 +133,9 @@ def _greedy(
     found: list[Found] = []
     take_up(space, tried, found)
     for tries in range(MOST_PIECES):
-        if tries >= MOST_FINDINGS + len(found) - _effects(found):
+        riddle = any(f.name[0] == "nameless" for f in found)
+        most, pieces = (MOST_BESIDE_RIDDLES, PIECES_BESIDE_RIDDLES) if riddle else (MOST_FINDINGS, MOST_PIECES)
+        if tries >= min(pieces, most + len(found) - _effects(found)):
             break
         best, evidence = start if start and not found else _best(tried, found)
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):

@@ -112,7 +112,8 @@ def judge(truth: Sequence[Json], answer: Json) -> Json:
     """Compare what was said with what there was.
 
     returns per true effect (a list each, in the truth's order)
-        named       a finding has its name;       joint_right   and the right joint (None where it was not named)
+        named       a finding has its name
+        joint_right and its joint, and none has the joint of nothing true by that name; None where it was not named
         in_aliases  a finding, one of its alternatives, or one of its aliases (what the recording cannot tell it from)
                     has its name
         located     the joint or one of the columns it depends on was pointed at, whatever the name
@@ -133,7 +134,9 @@ def judge(truth: Sequence[Json], answer: Json) -> Json:
         mine = [f for f in findings if f["effect"] == e["effect"]]
         offered = [a for f in findings for a in (f, *(f.get("alternatives") or []), *(f.get("aliases") or []))]
         named.append(bool(mine))
-        joint_right.append(any(_joint_agrees(e, f) for f in mine) if mine else None)
+        theirs = [t for t in truth if t["effect"] == e["effect"]]
+        right = any(_joint_agrees(e, f) for f in mine) and all(any(_joint_agrees(t, f) for t in theirs) for f in mine)
+        joint_right.append(right if mine else None)
         in_aliases.append(any(a["effect"] == e["effect"] for a in offered))
     wrong = [f for f in findings if f["effect"] not in fair]
     apart = [f for f in wrong if names.isdisjoint(a["effect"] for a in f.get("aliases") or [])]

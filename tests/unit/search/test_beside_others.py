@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import standing
+from ppshw.diagnosis import _each_once, standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.library import Candidate, library
@@ -561,3 +561,35 @@ def test_what_goes_with_a_load_that_never_changes_is_no_column_beside_a_name(spa
         drive = own_component(alone.context, joint)
         assert any(column.args.get("pressed") == drive for column in found[0].near) == varies
         assert np.isfinite(alone.log_evidence())
+
+
+def test_play_in_every_drive_is_a_finding_of_each(space: Workspace) -> None:
+    """Five were taken up of six, and one was said of the five."""
+    c, names = space.context, space.machine.joint_names
+    moved = np.zeros_like(space.data)
+    for k in range(len(names)):
+        sign = Column("frame", "approach", {"joint": k}, k + 1, own_component(c, k))
+        moved += of_size(space, sign.evaluate(c), 3.0)
+    found, tried = look(replace(space, data=space.data + moved), ["backlash"], NAME)
+    assert sorted(f.name for f in _each_once(tried, found)) == sorted(("backlash", name) for name in names)
+
+
+@pytest.mark.parametrize(("factor", "count"), [(0.37, 2), (0.98, 1)])
+def test_two_screws_in_one_drive_are_two_findings_and_a_mended_wave_is_one(
+    space: Workspace, factor: float, count: int
+) -> None:
+    one = next(k for k in named(space, "periodic_transmission") if k.joint == NAME)
+    other = replace(one, shape={"period": factor * one.shape["period"]})
+    tried = Tried(space, [one, other], 5e-5)
+    found = [Found(k, tried.name(k), 0.0, 20.0) for k in (0, 1)]
+    assert len(_each_once(tried, found)) == count
+
+
+def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
+    shifts = [Column("points", "target_shift", {"target": t, "axis": t}) for t in (0, 1)]
+    there = space.context.hours > np.median(space.context.hours)
+    moved = sum(of_size(space, k.evaluate(space.context) * there[:, None], 4.0) for k in shifts)
+    found, tried = look(replace(space, data=space.data + moved), ["target_moved"], NAME)
+    whose = {best_of(tried, f).covariate for f in _each_once(tried, found)}
+    assert {f.name for f in found} == {("target_moved", None)}
+    assert whose == set(space.machine.targets) - {list(space.machine.targets)[2]}
