@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 # A mistake is said when one column's correction takes the misfit to less than this share of what it was, and the misfit
 # was gross: for positions in metres, for wrenches as a share of the wrench itself.
 BETTER = 0.2
-GROSS_M = 0.05
+GROSS_M = 0.01
 GROSS_WRENCH = 0.3
 # A payload's centre of mass is not this far from the sensor: forces in kilonewtons beside N·m put it a thousand times
 # as far as it is, and so do newtons beside moments in N·mm. Which, the forces say: half a tonne is 5 kN, a kilogram
@@ -106,8 +106,10 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     _, (given, other), sure = _by_either_sign(recording, lambda r: _left(machine, r))
     forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
     if forces is None and sure:
-        found.append(Mistake(_named(MOMENTS), -1.0, SIGN[-1.0], float(given), float(other)))
-        return _times(recording, MOMENTS, -1.0), found
+        alone, less = min(((k, _turned(machine, recording, k)) for k in MOMENTS), key=lambda pair: pair[1])
+        columns, after = ((alone,), less) if TOLD * less < other else (MOMENTS, float(other))
+        found.append(Mistake(_named(columns), -1.0, SIGN[-1.0], float(given), after))
+        return _times(recording, columns, -1.0), found
     if forces is None:
         return recording, found
     turned = other < TOLD * given  # a sensor mounted the other way round turns all six
@@ -180,6 +182,13 @@ def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) ->
     more = near[0] ** 2 - near[1] ** 2
     sure = more.mean() > SURE * more.std() / np.sqrt(len(more))
     return all_visits, most, bool(most[0] > REVERSED * most[1] and sure)
+
+
+def _turned(machine: Machine, recording: Recording, column: int) -> float:
+    """What is left with the sign of one column turned alone, rms [m] with the farthest as far as the others."""
+    left = _left(machine, _times(recording, (column,), -1.0))
+    left = left[np.isfinite(left)]
+    return float(np.sqrt((np.minimum(left, np.quantile(left, FARTHEST)) ** 2).mean()))
 
 
 def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:

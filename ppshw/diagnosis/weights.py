@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import Name, Tried
 from ppshw.diagnosis.found import Found, coefficients, explained, pieces_of, take_up
+from ppshw.diagnosis.kinship import never_turned
 from ppshw.diagnosis.parameters import spread_of
 from ppshw.diagnosis.workspace import Workspace
 
@@ -24,7 +25,9 @@ OUTSIDE = 0.05
 # tilting joints, whose travel is short. What is taken up over half a per cent of a travel was called friction with 0.95
 # and 0.77 in two plays of the twenty-ninth author's; the shortest friction of ten authors and of six sealed decks,
 # where it was found, took 0.65 %.
-SOFT, BRIEF, MAY_BE_PLAY = 8.0, 0.005, 0.7
+SOFT, BRIEF = 8.0, 0.005
+# How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
+MAY_BE = {"backlash": 0.7, "drift": 0.45}
 
 
 def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
@@ -55,17 +58,22 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.weights = {tried.names[j]: float(weights[j]) for j in np.argsort(-weights)[:6]}
     take_up(space, tried, found)
     for f in found:
-        if (play := as_well_play(space, tried, f)) is not None:
-            f.weights[play] = max(f.weights.get(play, 0.0), MAY_BE_PLAY * f.weights[f.name])
+        if (other := as_well(space, tried, f)) is not None:
+            f.weights[other] = max(f.weights.get(other, 0.0), MAY_BE[other[0]] * f.weights[f.name])
             total = sum(f.weights.values())
             f.weights = {name: w / total for name, w in sorted(f.weights.items(), key=lambda item: -item[1])}
 
 
-def as_well_play(space: Workspace, tried: Tried, f: Found) -> Name | None:
-    """The name of play where friction may as well be that, between soft walls: of a joint that loses a large part of
-    its way after it turned back, or takes up what it lost over a very small part of its travel. No form tells the two
-    apart, only how much is lost, and that not surely."""
+def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
+    """What a finding may as well be, whatever is measured with the machine.
+
+    Friction play between soft walls: of a joint that loses a large part of its way after it turned back, or takes up
+    what it lost over a very small part of its travel. No form tells the two apart, only how much is lost, and that not
+    surely. A jump of a rail that nothing before it turns one of the base, which only fixed monuments tell.
+    """
     candidate = tried.candidates[f.best]
+    if candidate.effect == "zero_shift" and candidate.joint in never_turned(space.machine)[1:]:
+        return ("drift", None) if ("drift", None) in tried.names else None
     play = ("backlash", candidate.joint)
     if candidate.effect != "friction_hysteresis" or play not in tried.names:
         return None

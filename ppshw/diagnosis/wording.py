@@ -16,7 +16,7 @@ from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import courses, numbers_of, rocks
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
-from ppshw.diagnosis.weights import as_well_play
+from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import called
@@ -25,6 +25,8 @@ from ppshw.terms.shapes import Context, named_column
 
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
+MUCH = 0.5  # of what a drift does along the axis where it goes farthest
+NEARLY_TWICE = 0.2  # by which a component's error may differ from twice what it reads
 WEIGHT_TOLD = 0.1  # on the terminal
 LEAST_P = 1e-12
 
@@ -41,8 +43,8 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         if (effect, joint) != found.name and weight >= LEAST_WEIGHT
     ]
     aliases = [] if candidate.effect == "nameless" else aliases_of(tried, found.name, found.best, values)
-    if (play := as_well_play(space, tried, found)) is not None:  # whatever is measured
-        aliases = [Alias(play, 1.0, 0.0), *(alias for alias in aliases if alias.name != play)]
+    if (other := as_well(space, tried, found)) is not None:
+        aliases = [Alias(other, 1.0, 0.0), *(alias for alias in aliases if alias.name != other)]
     return {
         "effect": candidate.effect,
         "joint": candidate.joint,
@@ -180,7 +182,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"{amount}: friction before sliding ({size}).",
         "thermal_growth": f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows "
         f"or bends with heat ({size}).",
-        "drift": f"everything moves slowly with time, {_far(c, candidate, values)}as if the base or the tracker did "
+        "drift": f"everything moves{_when(candidate)}, {_far(c, candidate, values)}as if the base or the tracker did "
         f"({size}).",
         "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(candidate, values)} ({size}).",
         "periodic_transmission": f"{joint} is off by a wave of period {candidate.shape.get('period', 0):.5g} along its "
@@ -192,7 +194,8 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
         f"({size}).",
         "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
-        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "") + f" ({size}).",
+        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
+        + f"{_turned(candidate, values)} ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
@@ -226,7 +229,7 @@ def _parts(candidate: Candidate, values: Array) -> str:
 
 
 def _far(c: Context, candidate: Candidate, values: Array) -> str:
-    """How far a drift goes, along the axis and about the axis where it goes farthest."""
+    """How far a drift goes, along the axes and about the axes where it goes farthest, or at least half as far."""
     if candidate.effect != "drift":
         return ""
     each = courses(c, candidate.columns) * values
@@ -235,10 +238,24 @@ def _far(c: Context, candidate: Candidate, values: Array) -> str:
     said = []
     for kind, how, unit in (("t", "along", "mm"), ("r", "about", "mrad")):
         of = [name for name in went if name.startswith(kind)]
-        if of:
-            most = max(of, key=lambda name: went[name])
-            said.append(f"by {went[most] * 1e3:.3f} {unit} {how} {most[1]}")
+        most = max((went[name] for name in of), default=0.0)
+        said += [f"by {went[name] * 1e3:.3f} {unit} {how} {name[1]}" for name in of if went[name] > MUCH * most]
     return f"{' and '.join(said)}, "
+
+
+def _when(candidate: Candidate) -> str:
+    """How a drift goes on: slowly, or at once."""
+    if candidate.columns[0].args.get("form") == "step":
+        return f" at once after {candidate.shape['time_h']:.2f} h"
+    return " slowly with time"
+
+
+def _turned(candidate: Candidate, values: Array) -> str:
+    """Where a component of the wrench is wrong by twice itself."""
+    args = candidate.columns[0].args
+    by_itself = candidate.effect == "wrench_error" and args.get("source") == args["component"]
+    twice = by_itself and abs(values[0] - 2.0) < NEARLY_TWICE
+    return ", nearly as if its sign were turned" if twice else ""
 
 
 def _high(c: Context, candidate: Candidate, values: Array, unit: str) -> str:

@@ -18,7 +18,7 @@ from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
-from ppshw.diagnosis.weights import weigh
+from ppshw.diagnosis.weights import as_well, weigh
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import (
@@ -593,3 +593,11 @@ def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
     whose = {best_of(tried, f).covariate for f in _each_once(tried, found)}
     assert {f.name for f in found} == {("target_moved", None)}
     assert whose == set(space.machine.targets) - {list(space.machine.targets)[2]}
+
+
+def test_a_jump_of_a_rail_that_nothing_turns_may_be_one_of_the_base(space: Workspace) -> None:
+    """Four jumps of a base had the name of the first rail's zero, for certain: drift has no form of several."""
+    for joint, either in (("lateral", ("drift", None)), ("roll", None)):
+        jump = next(k for k in named(space, "zero_shift") if k.joint == joint)
+        tried = Tried(space, [jump, named(space, "drift")[0]], 5e-5)
+        assert as_well(space, tried, Found(0, tried.name(0), 0.0, 20.0)) == either

@@ -13,7 +13,7 @@ from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import search
-from ppshw.diagnosis.weights import MAY_BE_PLAY, OUTSIDE, as_well_play
+from ppshw.diagnosis.weights import MAY_BE, OUTSIDE, as_well
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
@@ -107,7 +107,7 @@ def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(spac
     found, _ = look(there, ["friction_hysteresis", "backlash"], NAME)
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
-    assert found[0].weights[play] == pytest.approx(MAY_BE_PLAY * found[0].weights[name], rel=1e-6)
+    assert found[0].weights[play] == pytest.approx(MAY_BE["backlash"] * found[0].weights[name], rel=1e-6)
 
 
 @pytest.mark.parametrize("form", [("slipping", "width"), ("winding", "way")])
@@ -147,7 +147,7 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     tried.names.append(("backlash", NAME))
     lag = np.array([0.05 * width]), np.array([[(unsure * width) ** 2]]), 0.0
     monkeypatch.setattr(weights, "coefficients", lambda *_: lag)
-    assert as_well_play(space, tried, found[0]) == (("backlash", NAME) if may_be else None)
+    assert as_well(space, tried, found[0]) == (("backlash", NAME) if may_be else None)
 
 
 @pytest.mark.parametrize(("part", "either"), [(0.005, True), (0.01, False)])
