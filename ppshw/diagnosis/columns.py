@@ -23,16 +23,20 @@ from ppshw.identification.start import to_base
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import frames, point_positions
 from ppshw.machine import WRENCH_COMPONENTS, Machine
-from ppshw.recording import Recording
+from ppshw.recording import Recording, listed
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms import Situation
 from ppshw.terms.history import payloads
+from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
 # A mistake is said when one column's correction takes the misfit to less than this share of what it was, and the misfit
 # was gross: for positions in metres, for wrenches as a share of the wrench itself.
 BETTER = 0.2
+BETTER_SIGN = 0.5  # of a joint's: no joint's own error is a slope of -2, and tilts of short travel move little
 GROSS_M = 0.01
+SIGN_M = 1e-3  # of a joint's sign
+MANY, MEANS_M = 10, 0.05  # visits; how far the reflectors' means may be off for anything to be said of exchanges
 GROSS_WRENCH = 0.3
 # A payload's centre of mass is not this far from the sensor: forces in kilonewtons beside N·m put it a thousand times
 # as far as it is, and so do newtons beside moments in N·mm. Which, the forces say: half a tonne is 5 kN, a kilogram
@@ -81,6 +85,11 @@ class Mistake:
         }  # fmt: skip
 
     @property
+    def asked(self) -> float:
+        """To what share of the misfit a correction must take it."""
+        return BETTER_SIGN if self.factor == -1.0 and self.column.startswith("q_") else BETTER
+
+    @property
     def said(self) -> str:
         """What is wrong, of one column or of several."""
         if not self.several:
@@ -121,17 +130,18 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
     """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
     forces have the opposite one. What leaves the recording none of this machine's is no correction."""
-    given, found = recording, list[Mistake]()
+    recording, found = _exchanged_at_times(machine, recording)
+    given, before = recording, list(found)
     for look in (_positions, _wrenches, _wrench_units):
         for _ in range(3):
             tried = list(look(machine, recording))
             best = min(tried, key=lambda pair: pair[0].after + _askew(machine, pair[1]), default=None)
-            if best is None or best[0].after > BETTER * best[0].before:
+            if best is None or best[0].after > best[0].asked * best[0].before:
                 break
             mistake, recording = best
             found.append(mistake)
         if look is _positions and found and is_another_machine(machine, recording):  # of some rows only, or of more
-            recording, found = given, []
+            recording, found = given, list(before)
     return recording, found
 
 
@@ -195,7 +205,11 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
     if not recording.seen.any():  # other points alone
         return
     before = misfit(machine, recording)
+    if before < SIGN_M:
+        return
     if before < GROSS_M:
+        for k, joint in enumerate(machine.joints):
+            yield _tried(machine, _scaled(recording, k, -1.0), f"q_{joint.name}", -1.0, SIGN[-1.0], before)
         return
     names = [f"{name}_{axis}" for name in recording.target_names for axis in "xyz"]
     for factor, what in LENGTHS.items():
@@ -203,9 +217,7 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
         yield _tried(machine, changed, _from_to(names), factor, what, before)
     for k, joint in enumerate(machine.joints):
         for factor, what in (LENGTHS if joint.prismatic else ANGLES).items():
-            q = recording.q.copy()
-            q[:, k] *= factor
-            yield _tried(machine, replace(recording, q=q), f"q_{joint.name}", factor, what, before)
+            yield _tried(machine, _scaled(recording, k, factor), f"q_{joint.name}", factor, what, before)
     turning = [k for k, joint in enumerate(machine.joints) if not joint.prismatic]
     if len(turning) > 1:
         q = recording.q.copy()
@@ -221,6 +233,43 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
                 yield _tried(machine, replace(recording, points=points), f"{name}_{axis}", factor, what, before)
     for column, points in _exchanged(recording):
         yield _tried(machine, replace(recording, points=points), column, None, "is exchanged", before)
+
+
+def _scaled(recording: Recording, joint: int, factor: float) -> Recording:
+    q = recording.q.copy()
+    q[:, joint] *= factor
+    return replace(recording, q=q)
+
+
+def _exchanged_at_times(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
+    """Two reflectors that are exchanged at many visits: by where the ideal machine has them, once the instrument is
+    laid by the reflectors' means, which no exchange changes. At a few it is a matter of those visits."""
+    whole, count = recording.seen.all(axis=1), len(recording.target_names)
+    if count < 2 or whole.sum() < MANY:
+        return recording, []
+    ideal = point_positions(machine, recording.q, machine.target_array)
+    laid = fit_rigid(recording.points[whole].mean(axis=1), ideal[whole].mean(axis=1))
+    points = recording.points @ laid[:3, :3].T + laid[:3, 3]
+    if np.median(np.linalg.norm((points - ideal)[whole].mean(axis=1), axis=1)) > MEANS_M:  # something else is wrong
+        return recording, []
+
+    def missed(order: Sequence[int]) -> Array:
+        off = np.linalg.norm(points[:, order] - ideal, axis=2)
+        return np.asarray(np.nansum(off, axis=1) / np.maximum(np.isfinite(off).sum(axis=1), 1))
+
+    pairs = list(itertools.combinations(range(count), 2))
+    given = missed(list(range(count)))
+    others = np.array([missed([b if k == a else a if k == b else k for k in range(count)]) for a, b in pairs])
+    mended, found = recording.points.copy(), []
+    for (a, b), after in zip(pairs, others, strict=True):
+        here = (after < BETTER * given) & (after <= others.min(axis=0)) & (given > GROSS_M)
+        if here.sum() < MANY or here[recording.measured].all():
+            continue
+        mended[np.ix_(here, [a, b])] = mended[np.ix_(here, [b, a])]
+        what = f"is exchanged in {here.sum()} visits ({listed(np.flatnonzero(here).tolist())})"
+        misses = (float(np.sqrt((each[here] ** 2).mean())) for each in (given, after))
+        found.append(Mistake(f"{recording.target_names[a]} and {recording.target_names[b]}", None, what, *misses))
+    return (replace(recording, points=mended), found) if found else (recording, [])
 
 
 def _exchanged(recording: Recording) -> Iterator[tuple[str, Array]]:

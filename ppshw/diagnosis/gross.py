@@ -61,8 +61,10 @@ class GrossErrors:
             return []
         many = f"{len(visits)} visits are" if len(visits) > 1 else "one visit is"
         sentence = f"{many} simply wrong and set aside: {listed(visits)}."
-        for visit, names in itertools.islice(self.swapped.items(), 3):
-            sentence += f" In visit {rows[visit] + 1} {' and '.join(names)} are swapped."
+        for names in dict.fromkeys(self.swapped.values()):
+            those = [int(rows[visit]) for visit, mine in self.swapped.items() if mine == names]
+            visit = "visit" if len(those) == 1 else "visits"
+            sentence += f" In {visit} {listed(those)} {' and '.join(names)} are swapped."
         if len(misread):
             sentence += f" The force sensor's reading is not that of the load: {listed(misread)}."
         return [

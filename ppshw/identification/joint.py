@@ -142,6 +142,8 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
             progress(turn, rounds)
         settled = turn >= 2
         kept = state.active & first if turn == 0 else state.active
+        if not kept.any():
+            raise IdentificationFailed(f"{task.recording.source}: its visits contradict one another, none is left")
         gram, moment, whites = linear.normal_equations(state.noise, state.weights, kept)
         state.variances, posterior = learn(gram, moment, groups, kept, state.variances, STRENGTH_STEPS)
         before, state.theta = state.theta, np.zeros(len(kept))
