@@ -55,6 +55,10 @@ def pairs(words: Sequence[str] | None, names: Sequence[str], what: str, of: str)
         name, _, text = word.strip().partition("=")
         if name not in names:
             raise BadInput(f"{what}: no {of} named '{name}', expected one of {', '.join(names) or 'none'}")
+        if name in out:
+            raise BadInput(f"{what} {name}: given twice, expected one value")
+        if not text:
+            raise BadInput(f"{what} {name}: no value, expected {name}=NUMBER")
         out[name] = float(numbers([text], 1, f"{what} {name}")[0])
     return out
 

@@ -61,6 +61,8 @@ def diagnose(a: argparse.Namespace) -> None:
         warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
     if recording.has_wrench and not any(recording.load):
         warnings.append("no column load: what goes on after a load was changed is not looked for")
+    if not recording.has_wrench and not any(recording.load):
+        warnings.append("no column load and no wrench: a load that was changed looks like a zero that jumped")
     warn(a.rec, warnings)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))

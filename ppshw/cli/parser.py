@@ -142,8 +142,9 @@ def build_parser() -> argparse.ArgumentParser:
                        help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
         p.add_argument("--from", dest="start", nargs="+", metavar="Q1 … QN",
                        help="joint values that the move starts from: they tell the directions of approach")  # fmt: skip
-        p.add_argument("--approach", nargs="+", metavar="JOINT=+1 …", help="direction of a joint's final motion")
-        p.add_argument("--temperature", nargs="+", metavar="PLACE=21.5 …",
+        p.add_argument("--approach", nargs="+", action="extend", metavar="JOINT=+1 …",
+                       help="direction of a joint's final motion")  # fmt: skip
+        p.add_argument("--temperature", nargs="+", action="extend", metavar="PLACE=21.5 …",
                        help="of a place, by the recording's name for it [°C]")  # fmt: skip
         p.add_argument("--loaded-for", type=positive, metavar="S", help="how long the load has been on [s]")
         p.add_argument("--site", required=name == "move", metavar="S", help="site file of the axes to drive there")

@@ -48,6 +48,8 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     warnings = calibration.doubts()
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
+    if a.temperature and not any(effect.places for effect in calibration.effects):
+        warnings.append("--temperature: no effect here goes with a temperature, it changes nothing")
     return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
 
 

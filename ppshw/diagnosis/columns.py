@@ -57,6 +57,7 @@ SIGN = {-1.0: "has the opposite sign"}
 LENGTHS = {**SIGN, 1e-3: "is in millimetres, expected metres", 1e3: "is in kilometres, expected metres"}
 ANGLES = {**SIGN, float(np.pi / 180): "is in degrees, expected radians"}
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
+KILO = "is in kilonewtons, expected newtons"
 TOO = " (the moments too, if they go with the forces)"  # where nobody asked, or the visits do not tell
 AXES = ((0, 1), (0, 2), (1, 2))
 
@@ -319,6 +320,9 @@ def _wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake,
         after = _unlike_a_payload(recording, changed.wrench, g)
         what = SIGN[-1.0] + (TOO if columns == FORCES and _loaded(recording, MOMENTS, LOADED_NM) else "")
         yield Mistake(_named(columns), -1.0, what, before, after), changed
+    for k in FORCES:
+        changed = _times(recording, (k,), 1e3)
+        yield Mistake(WRENCH_COMPONENTS[k], 1e3, KILO, before, _unlike_a_payload(recording, changed.wrench, g)), changed
     for three, (first, second) in itertools.product((FORCES, MOMENTS), AXES):
         wrench, a, b = recording.wrench.copy(), three[first], three[second]
         wrench[:, [a, b]] = wrench[:, [b, a]]
@@ -343,7 +347,7 @@ def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mist
         return
     far = f"(loads would hang {lever:.0f} m off the sensor)"
     if hangs < MOST_KN:
-        what = f"is in kilonewtons, expected newtons {far}"
+        what = f"{KILO} {far}"
         yield Mistake(_named(FORCES), 1e3, what, lever, 1e-3 * lever), _times(recording, FORCES, 1e3)
     elif hangs > LEAST_N:
         what = f"is in newton millimetres, expected newton metres {far}"

@@ -16,7 +16,7 @@ from ppshw.identification.start import align, to_base
 from ppshw.kinematics import frames, point_positions
 from ppshw.machine import Machine
 from ppshw.quantities import distance
-from ppshw.recording import Recording, listed
+from ppshw.recording import Recording, directions, listed
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms.history import payloads
 from ppshw.transforms import fit_rigid
@@ -35,6 +35,9 @@ KELVIN_C = 200.0  # no machine is measured so warm
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 ROUNDS = 20
 BLOCK = 4096
+# A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that; and
+# a joint is hardly ever gone past where it came to, at more than half of the visits. Ours.
+ELSEWHERE, BY_A_ROW, AGAINST = 0.01, 0.2, 0.9
 
 
 def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Recording, NDArray[np.bool_]]:
@@ -116,6 +119,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"the wrench read at {len(rows)} visit{'s' * (len(rows) > 1)} ({listed(rows)}) is not that of the load "
             f"{loads} at its other visits"
         )
+    said += [*_where_it_was_not_sent(machine, recording), *_against_its_way(machine, recording)]
     if loads := loads_not_measured(recording):
         same = "the columns Fx … Mz read the same at every visit"
         silent = same if recording.has_wrench else "nothing in columns Fx … Mz"
@@ -124,6 +128,36 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             "the machine cannot be told from its errors"
         )
     return said
+
+
+def _where_it_was_not_sent(machine: Machine, recording: Recording) -> list[str]:
+    """A line for each joint that stood elsewhere than where it was sent, by a good part of its travel."""
+    out = []
+    for k, joint in enumerate(machine.joints):
+        q, sent = recording.q[:, k], recording.q_cmd[:, k]
+        off = float(np.sqrt(np.mean((q - sent) ** 2)))
+        if not off > ELSEWHERE * float(np.ptp(q)):
+            continue
+        said = f"q_{joint.name} is {off:.4g} {joint.unit} rms from q_cmd_{joint.name}"
+        late = {rows: float(np.sqrt(np.mean((np.roll(q, -rows) - sent)[1:-1] ** 2))) for rows in (1, -1)}
+        rows = min(late, key=lambda n: late[n])
+        how = "late" if rows > 0 else "early"
+        said += f": is it one row {how}?" if late[rows] < BY_A_ROW * off else ": do these columns belong together?"
+        out.append(said)
+    return out
+
+
+def _against_its_way(machine: Machine, recording: Recording) -> list[str]:
+    """A line for each joint whose direction of approach is against nearly every way that it went between visits."""
+    went = directions(recording.q)
+    against = went * recording.approach < 0
+    told = (went != 0) & (recording.approach != 0)
+    return [
+        f"approach_{joint.name} is against the way that q_{joint.name} went at {100 * share:.0f} % of the visits: is "
+        "its sign turned?"
+        for k, joint in enumerate(machine.joints)
+        if told[:, k].sum() >= OF_A_LABEL and (share := against[told[:, k], k].mean()) > AGAINST
+    ]
 
 
 def loads_not_measured(recording: Recording) -> str:

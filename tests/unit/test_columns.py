@@ -227,3 +227,13 @@ def test_a_joint_of_short_travel_that_counts_the_other_way(case: tuple[Machine, 
     q[:, joint] *= -1
     _, found = column_mistakes(machine, replace(recording, q=q))
     assert [(m.column, m.factor) for m in found] == [(f"q_{machine.joint_names[joint]}", -1.0)]
+
+
+def test_one_force_in_kilonewtons(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    wrench = recording.wrench.copy()
+    largest = int(np.argmax(np.abs(wrench[:, :3]).max(axis=0)))
+    wrench[:, largest] *= 1e-3
+    mended, found = column_mistakes(machine, replace(recording, wrench=wrench))
+    assert [(m.column, m.factor) for m in found] == [(WRENCH_COMPONENTS[largest], 1e3)]
+    np.testing.assert_allclose(mended.wrench, recording.wrench)

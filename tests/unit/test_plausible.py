@@ -123,3 +123,27 @@ def test_what_cannot_be_determined_is_said(tmp_path: Path) -> None:
     one[0, 1:] = np.nan
     with pytest.raises(IdentificationFailed, match="1 readings do not place the measuring frame"):
         identify(machine, replace(recording, points=one))
+
+
+def test_an_encoder_s_column_that_is_one_row_late_is_said(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    q = recording.q.copy()
+    name = machine.joint_names[1]
+    for rows, how in ((1, "late"), (-1, "early")):
+        q[:, 1] = np.roll(recording.q_cmd[:, 1], rows)
+        said = doubts(machine, replace(recording, q=q))
+        assert len(said) == 1
+        assert said[0].endswith(f"rms from q_cmd_{name}: is it one row {how}?")
+    q[:, 1] = recording.q_cmd[:, 1] + 0.3 * np.ptp(q[:, 1]) * np.sin(np.arange(len(q)) ** 2)
+    assert "do these columns belong together?" in doubts(machine, replace(recording, q=q))[0]
+
+
+def test_directions_of_approach_against_every_way_are_said(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    approach = recording.approach.copy()
+    approach[:, 1] *= -1
+    said = doubts(machine, replace(recording, approach=approach))
+    assert len(said) == 1
+    assert said[0].startswith(f"approach_{machine.joint_names[1]} is against the way that")
+    approach[: len(approach) // 2, 1] *= -1  # half of the visits: it may have gone past where it came to
+    assert doubts(machine, replace(recording, approach=approach)) == []
