@@ -95,16 +95,17 @@ def way_since_reversal(q: Array, approach: NDArray[np.int64]) -> Array:
 
 
 def lagged(values: Array, hours: Array, tau: float) -> Array:
-    """First-order lag with time constant tau [h] of values (N,) at hours (N,), between two visits at the mean of
-    both; tau = 0: the values themselves. Returns (N,) in their unit."""
+    """First-order lag with time constant tau [h] of values (N,) at hours (N,) that go straight from one visit to the
+    next; tau = 0: the values themselves. Returns (N,) in their unit."""
     if tau <= 0:
         return values
     out = np.empty(len(values))
     state = values[0]
     for k in range(len(values)):
         if k:
-            share = 1.0 - np.exp(-max(0.0, hours[k] - hours[k - 1]) / tau)
-            state = state + share * (0.5 * (values[k] + values[k - 1]) - state)
+            way = max(0.0, hours[k] - hours[k - 1]) / tau
+            behind = -math.expm1(-way) / way if way > 0.0 else 1.0  # share of the change that has not come
+            state = values[k] - behind * (values[k] - values[k - 1]) + math.exp(-way) * (state - values[k - 1])
         out[k] = state
     return out
 

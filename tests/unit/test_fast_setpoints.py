@@ -20,9 +20,11 @@ from ppshw.machine import Machine, load_machine
 from ppshw.model import Model
 from ppshw.terms import FrameTerm, Parameter, Situation
 from ppshw.terms.basis import Basis, Constant, Interpolated, Polynomial, Smooth
+from ppshw.terms.effect import Effect
 from ppshw.terms.elastic import Compliance, pattern
 from ppshw.terms.geometric import Geometric
 from ppshw.terms.own_motion import OwnMotion
+from ppshw.terms.shapes import Column
 
 Array = NDArray[np.float64]
 MACHINES = Path(__file__).parents[2] / "machines"
@@ -187,3 +189,18 @@ def test_numbers_of_another_machine_are_refused() -> None:
     fast = FastCompensator(calibration(PPS, "smooth"))
     with pytest.raises(CompensationRefused, match="5 joint values and 6 load components given, expected 6 and 6"):
         fast.setpoint(np.zeros(5), PAYLOAD)
+
+
+def test_a_calibration_with_effects_is_refused_unless_its_base_model_alone_is_asked_for() -> None:
+    jump = Column("frame", "step", {"visit_time": 1.0}, 1, 0)
+    found = Effect("zero_shift", PPS.joint_names[0], (jump,), (1e-3,), (1e-5,), "its zero jumped")
+    more = replace(calibration(PPS, "smooth"), effects=(found,))
+    with pytest.raises(CalibrationError, match=re.escape("(zero_shift), without which this base model is worse")):
+        FastCompensator(more)
+    assert FastCompensator(more, WIDE, leave_out=True).left_out == ("its zero jumped",)
+
+
+@pytest.mark.parametrize(("wanted", "payload"), [((6,), (6,)), ((2, 6), (3,)), ((2, 6), (3, 6)), ((2, 5), (6,))])
+def test_arrays_of_other_shapes_are_refused(wanted: tuple[int, ...], payload: tuple[int, ...]) -> None:
+    with pytest.raises(CompensationRefused, match="expected"):
+        FastCompensator(calibration(PPS, "smooth")).setpoints(np.zeros(wanted), np.zeros(payload))

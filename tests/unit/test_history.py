@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from ppshw.terms.history import (
     followed,
@@ -61,6 +62,15 @@ def test_a_lag_of_no_time_is_no_lag_and_a_step_is_two_thirds_there_after_one_tim
     assert np.array_equal(lagged(step, hours, 0.0), step)
     after = lagged(step, hours, 0.5)
     assert abs(after[500] - (1 - np.exp(-1.0))) < 2e-3
+
+
+def test_after_a_night_a_lag_has_followed_what_went_straight_on() -> None:
+    """From 21 °C to 18 °C with a lag of a quarter of an hour it said 19.5 °C at the first visit."""
+    found = lagged(np.array([21.0, 21.0, 18.0]), np.array([0.0, 0.1, 8.1]), 0.25)
+    assert found.tolist() == pytest.approx([21.0, 21.0, 18.0 + 0.25 * 3.0 / 8.0], abs=1e-9)
+    straight, few = np.linspace(0.0, 3.0, 3001), np.array([0, 700, 800, 2500, 3000])
+    often = lagged(straight, straight, 0.4)[few]
+    np.testing.assert_allclose(often, lagged(straight[few], straight[few], 0.4), atol=1e-3)
 
 
 def test_a_load_change_fades_and_the_next_one_adds_to_it() -> None:

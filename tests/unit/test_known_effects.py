@@ -240,7 +240,7 @@ def test_growth_that_lags_follows_what_the_thermometers_said_before() -> None:
         rail = 22.0 if k == 0 else 24.0
         here = move(POSE, payload(), here, Around(1.7e9 + 120.0 * k, "box", {"rail": rail}))
         said.append(here[VERTICAL])
-    # between the first two readings the temperature is taken in their middle
+    # between two readings the temperature goes straight on
     assert said[0] - said[31] == pytest.approx(1e-4 * 2.0 * (1 - np.exp(-1.0)), rel=0.02)
 
 
