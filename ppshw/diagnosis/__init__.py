@@ -18,6 +18,7 @@ from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, st
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.parameters import of_one_wave
 from ppshw.diagnosis.scatter import Scatter, scatter_of, scatter_without_a_name
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.serial import SerialNoise
@@ -40,7 +41,6 @@ LEAST_VISITS = 40
 MOST_LOOKS = 3
 TAKEN = 4.0  # times as large as what the base model leaves of it
 COLUMNS_PER_VISIT = 1 / 3  # of one candidate, at most
-SAME_PERIOD = 0.05  # by which periods of one wave may differ, whose height changes along its joint's travel
 
 
 @dataclass(frozen=True)
@@ -245,9 +245,7 @@ def _each_once(tried: Tried, found: list[Found]) -> list[Found]:
         theirs = [tried.candidates[g.best] for g in kept if g.name == f.name]
         if f.name[0] in ("target_moved", "cross_coupling"):
             theirs = [k for k in theirs if k.covariate == mine.covariate]
-        if "period" in mine.shape:
-            theirs = [k for k in theirs if abs(k.shape["period"] / mine.shape["period"] - 1.0) < SAME_PERIOD]
-        if not theirs:
+        if not any(of_one_wave(k, mine) for k in theirs):
             kept.append(f)
     return kept
 

@@ -18,6 +18,7 @@ from ppshw.terms.shapes.time_and_heat import clock
 
 Array = NDArray[np.float64]
 Entries = dict[str, dict[str, Any]]
+SAME_PERIOD = 0.05  # by which periods of one wave may differ, whose height changes along its joint's travel
 MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 
 
@@ -50,6 +51,13 @@ def numbers_of(
     return out
 
 
+def of_one_wave(one: Candidate, other: Candidate) -> bool:
+    """Whether two forms have nearly the same period, or one of them none."""
+    if "period" not in one.shape or "period" not in other.shape:
+        return True
+    return abs(other.shape["period"] / one.shape["period"] - 1.0) < SAME_PERIOD
+
+
 def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
     """Standard deviations of a candidate's nonlinear parameters about its own, over forms that differ in nothing else.
 
@@ -62,7 +70,10 @@ def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
     if not mine.shape:
         return {}
     namesakes = np.flatnonzero(tried.name_of == tried.name_of[best])
-    kin = np.array([j for j in namesakes if _differs_in_shape_alone(mine, tried.candidates[j])])
+    kin = np.array([
+        j for j in namesakes
+        if _differs_in_shape_alone(mine, tried.candidates[j]) and of_one_wave(mine, tried.candidates[j])
+    ])  # fmt: skip
     said = evidence[kin] + tried.log_share[kin]
     weights = np.exp(said - said.max())
     weights /= weights.sum()

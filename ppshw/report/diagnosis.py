@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,6 +36,7 @@ VERDICTS = {
 }
 HARDLY = 1.01  # structure without a name that takes less of the residual than this has no picture, unless it is all
 MOST_ROWS = 60  # of the table of what can be seen
+FOLDED = ", within its period"
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = Non
 def render(diagnosis: Diagnosis, now: datetime) -> str:
     """The page as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC."""
     answer, space = diagnosis.answer, diagnosis.space
-    units = {f"q_{j.name}": j.unit for j in space.machine.joints}
+    units = {f"q_{j.name}{part}": j.unit for j in space.machine.joints for part in ("", FOLDED)}
     compared = of_space(space, found=False)
     located = check(compared)[1]
     environment = Environment(
@@ -142,8 +144,7 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
         fitted = (white * gradient[:, :, which]).sum(axis=1) / np.maximum(reading.weights, 1e-30) * 1e6
         x, label = _abscissa(compared.context, candidate)
         named = candidate.effect != "nameless"
-        said = next((a for a in diagnosis.answer["findings"] if named and a["effect"] == candidate.effect
-                     and a["joint"] == candidate.joint), None)  # fmt: skip
+        said = next((a for a in diagnosis.answer["findings"] if named and _is_of(a, candidate)), None)
         title = f"{candidate.effect.replace('_', ' ') if named else 'Structure without a name'}"
         title += f", {candidate.joint}" if candidate.joint else ""
         picture = residuals.over(
@@ -187,7 +188,17 @@ def _channel(
     return allowed[int(np.argmax(size))]
 
 
+def _is_of(said: Mapping[str, Any], candidate: Candidate) -> bool:
+    """Whether a finding as answered is a candidate's: of waves in one joint that of the same period."""
+    period = said["parameters"].get("period", {}).get("value")
+    same = period is None or period == candidate.shape.get("period")
+    of_same = candidate.joint is not None or said["covariate"] == candidate.covariate
+    return said["effect"] == candidate.effect and said["joint"] == candidate.joint and same and of_same
+
+
 def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:
+    if (period := candidate.shape.get("period")) is not None:  # folded: over a travel it is a cloud
+        return named_column(c, candidate.covariate) % period, candidate.covariate + FOLDED
     for name in (candidate.covariate, *candidate.covariates):
         try:
             return np.asarray(named_column(c, name), dtype=float), name

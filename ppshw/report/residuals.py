@@ -161,7 +161,7 @@ def over(
         c.figure.legend(loc="outside upper center", ncols=4, handletextpad=0.3, columnspacing=1.0)
         out = int(((mean < low) | (mean > high)).sum())
         beyond = int((np.abs(values) > reach).sum())
-        note = f"{beyond} visits lie beyond the edges." if beyond else ""
+        note = f"{beyond} visit{'s lie' if beyond > 1 else ' lies'} beyond the edges." if beyond else ""
         alt = (
             f"{reading.label} of {len(x)} visits over {name}: means of bins from {mean.min():.0f} to {mean.max():.0f} "
             f"{reading.unit}, {out} of {len(mean)} outside the band of noise."
