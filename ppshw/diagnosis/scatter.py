@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import corrected_residual
+from ppshw.diagnosis.weights import OUTSIDE
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
@@ -78,8 +79,8 @@ def scatter_of(
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
-        "p_value": p, "rms_mm": None, "weight": round(float(1 / (1 - np.e * p * np.log(p))), 4), "alternatives": [],
-        "aliases": [],
+        "p_value": p, "rms_mm": None, "weight": round((1 - OUTSIDE) * float(1 / (1 - np.e * p * np.log(p))), 4),
+        "alternatives": [], "aliases": [],
         "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
     }  # fmt: skip
     evenly = strength[k, 0] * ranges[0]  # as it would be with noise that grows alike in all directions
