@@ -234,12 +234,14 @@ class Compensator:
                     f"joint '{joint.name}' at {value:.6g} {joint.unit} is outside what was identified, "
                     f"{joint.low:.6g} … {joint.high:.6g}"
                 )
-        for load, value in zip(self.calibration.identified_loads(margin), payload.tolist(), strict=True):
-            if load.is_outside(value):
-                raise CompensationRefused(
-                    f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
-                    f"{load.low:.6g} … {load.high:.6g}"
-                )
+        loads = zip(self.calibration.identified_loads(margin), payload.tolist(), strict=True)
+        outside = [(load, value) for load, value in loads if load.is_outside(value)]
+        if outside:  # the one that is farthest, as a force or a moment on a lever of a metre
+            load, value = max(outside, key=lambda one: max(one[0].low - one[1], one[1] - one[0].high))
+            raise CompensationRefused(
+                f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
+                f"{load.low:.6g} … {load.high:.6g}"
+            )
 
     def _refuse_correction(self, corrected: Array, nominal: Array) -> None:
         lower, upper = self.machine.limits()

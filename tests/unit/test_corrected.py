@@ -74,3 +74,12 @@ def test_they_are_what_the_run_will_correct_to(tmp_path: Path, plant: Plant, com
     corrected = compensator.for_joints(wanted, measured).corrected
     (visit,) = corrected_plan(found, compensator).visits
     assert visit.setpoints == pytest.approx(corrected, abs=2e-5)
+
+
+def test_a_load_far_outside_what_was_identified_is_refused_before_it_is_put_on(
+    tmp_path: Path, compensator: Compensator
+) -> None:
+    """Of 900 kg the farthest component is said, where the first one was."""
+    heavy = BOX.replace("mass: 80", "mass: 900") + "steps: [{step: some, kind: poses, poses: [{q: {}}]}]\n"
+    with pytest.raises(CampaignError, match=r"step some, visit 0: load 'box': Fy = -8825\.\d* N is far outside what"):
+        corrected_plan(plan(tmp_path, "home_margin: 0.02\n" + heavy, compensator), compensator)
