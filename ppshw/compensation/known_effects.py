@@ -191,7 +191,7 @@ class KnownEffects:
         columns = [c for e in self.effects if not e.of_instrument for c in e.columns]
         sides = {int(c.args.get("joint") or 0) for c in columns if c.function in FROM_APPROACH}
         for joint in sorted(j for j in sides if now.approach[j] == 0):
-            yield [(replace(now, approach=_with(now.approach, joint, side)), past) for side in (-1, 1)]
+            yield [(_come_from(now, joint, side), _all_come_from(past, joint, side)) for side in (-1, 1)]
         places = {str(c.args["place"]) for c in columns if c.args.get("place")}
         for place in sorted(places - set(now.temperatures)):
             low, high = self._seen_between.get(place, (math.nan, math.nan))
@@ -200,8 +200,7 @@ class KnownEffects:
                 yield [(replace(now, temperatures=each), past) for each in felt]
         first = past.moments[0] if past.moments else now
         for joint in sorted(j for j in self._winds_up() if now.approach[j] and not first.approach[j]):
-            firsts = (replace(first, approach=_with(first.approach, joint, side)) for side in (-1, 1))
-            yield [(now, replace(past, moments=(one, *past.moments[1:]))) for one in firsts]
+            yield [(now, _all_come_from(past, joint, side)) for side in (-1, 1)]
         if self._creeps and not past.known:
             hours = self._reference.get("hours", 0.0)
             yield [
@@ -395,10 +394,15 @@ class KnownEffects:
         return replace(past, known=seconds is not None, recorded=lay_before is not None)
 
 
-def _with(approach: Signs, joint: int, side: int) -> Signs:
-    out = approach.copy()
-    out[joint] = side
-    return out
+def _come_from(moment: Moment, joint: int, side: int) -> Moment:
+    """The same where it is not known from which side a joint came, had it come from this one."""
+    approach = moment.approach.copy()
+    approach[joint] = approach[joint] or side
+    return replace(moment, approach=approach)
+
+
+def _all_come_from(past: Past, joint: int, side: int) -> Past:
+    return replace(past, moments=tuple(_come_from(moment, joint, side) for moment in past.moments))
 
 
 def _mean_bump(column: Column) -> float:

@@ -174,6 +174,11 @@ def test_friction_winds_up_with_the_way_from_where_a_move_starts(way: float, wou
     assert not found.effects[0].why
 
 
+def test_friction_from_a_side_that_nobody_says_makes_unsure_by_either() -> None:
+    plain = along_y(friction(), approach=np.array([0, 1, 0, 0, 0, 0]))
+    assert along_y(friction()) == pytest.approx(np.hypot(plain, WOUND), rel=0.05)
+
+
 def test_how_far_a_joint_has_gone_where_nobody_says_is_said_to_be_unknown() -> None:
     found = asked(friction(), approach=np.array([0, 1, 0, 0, 0, 0]))
     assert np.linalg.norm(miss(found.corrected, -WOUND)) < 6e-5
