@@ -694,6 +694,28 @@ def test_a_compensated_run_is_not_continued_without_its_correction(situation: Si
         situation.run()
 
 
+def test_a_correction_knows_when_a_load_was_put_on_and_what_lay_there_before(situation: Situation) -> None:
+    """Not where the machine goes on under the load that it stopped with: it may have lain there all the time."""
+    heard: list[Around] = []
+
+    def asked(wanted: Array, wrench: Array, now: Array, around: Around) -> Array:
+        heard.append(around)
+        return wanted
+
+    situation.axes.trouble = (5, DriveFault("yaw", "drive fault 0x8611, following error"))
+    with pytest.raises(DriveFault):
+        situation.run(setpoint_map=asked)
+    assert all(around.put_on <= around.time and around.lay_before is not None for around in heard)
+    assert len({around.put_on for around in heard}) == len({around.load for around in heard}) == 2
+    first, last = heard[0], heard[-1]
+    assert last.lay_before == pytest.approx(np.zeros(6))  # the empty machine
+    assert first.put_on < last.put_on
+    situation.axes.trouble = None
+    situation.run(setpoint_map=asked)
+    assert heard[-1].load == last.load
+    assert math.isnan(heard[-1].put_on)
+
+
 def test_progress_counts_visits_and_the_seconds_left(situation: Situation) -> None:
     heard: list[Progress] = []
     situation.run(progress=heard.append)
