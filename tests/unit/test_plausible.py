@@ -133,7 +133,7 @@ def test_an_encoder_s_column_that_is_one_row_late_is_said(measured: tuple[Machin
         q[:, 1] = np.roll(recording.q_cmd[:, 1], rows)
         said = doubts(machine, replace(recording, q=q))
         assert len(said) == 1
-        assert said[0].endswith(f"rms from q_cmd_{name}: is it one row {how}?")
+        assert said[0].endswith(f"or more from q_cmd_{name}: is it one row {how}?")
     q[:, 1] = recording.q_cmd[:, 1] + 0.3 * np.ptp(q[:, 1]) * np.sin(np.arange(len(q)) ** 2)
     assert "do these columns belong together?" in doubts(machine, replace(recording, q=q))[0]
 
