@@ -29,7 +29,7 @@ AT_NEAREST = 1e-7
 AT_LIMIT = 1e-9  # m, rad
 # Where effects change faster with the joints than the joints themselves do (a screw whose error is steep) they count in
 # the slope too, by differences over so little [m, rad], from so many starts about where the plain steps went.
-LITTLE, STARTS, STEPS, HALVINGS = 1e-7, 30, 20, 8
+LITTLE, STARTS, STEPS, HALVINGS = 1e-7, 12, 20, 8
 # (q (1, n), the base model's errors (1, n+1, 6) and wrenches there) → errors of effects beyond it
 EffectErrors = Callable[[Array, Array, Array], Array]
 

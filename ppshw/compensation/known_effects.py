@@ -121,7 +121,8 @@ class KnownEffects:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
         reserve = []
         ways = {int(c.args["joint"]) for c in effect.columns if c.function in FROM_WAY}
-        if now.run_up is None and any(all(m.q[j] == now.q[j] for m in past.moments) for j in ways):
+        winds = effect.name == "friction_hysteresis" and now.run_up is None
+        if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in ways):
             reserve.append("how far the joint has gone since it turned back is not known; taken as far")
         oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
         if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
