@@ -28,6 +28,9 @@ OUTSIDE = 0.05
 SOFT, BRIEF = 8.0, 0.005
 # How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
 MAY_BE = {"backlash": 0.7, "drift": 0.45}
+# Where another's bare form says more, what all near forms say is little to go by: of two reflectors one that was moved
+# was a scale with 0.95, which the other's form said as well (another author's 31029).
+BY_NEAR_FORMS = math.log(4.0)
 
 
 def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
@@ -35,7 +38,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
     all.
 
     A name that was preferred for what it explains with all its near forms, though another's bare form says more, is as
-    much ahead of that one as the two sets are apart.
+    much ahead of that one as the two sets are apart, but by no more than BY_NEAR_FORMS.
     """
     whole = explained(space, tried, found)
     for f in found:
@@ -52,6 +55,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             take_up(space, tried, [*others, rival], and_look=False)
             evidence[own] = evidence[top] + whole - explained(space, tried, [*others, rival])
         tempered = evidence / (1 + max(evidence.max(), 0.0) / TEMPER)
+        tempered[own] = min(tempered[own], tempered[top] + BY_NEAR_FORMS) if top != own else tempered[own]
         weights = np.exp(tempered - logsumexp(tempered))
         if f.name[0] != "nameless":
             weights = weights * (1 - OUTSIDE) + OUTSIDE * np.array([name[0] == "nameless" for name in tried.names])
