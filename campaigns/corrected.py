@@ -45,8 +45,7 @@ def corrected_plan(
             raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.index}: load '{load.name}': {far}")
         payload = np.clip(weighs, low, high)
         before = visit.via or (visits[-1].setpoints if visits else None)
-        start = None if before is None else np.array(before)
-        given = Circumstances(start, None if run_up is None else np.sign(run_up).astype(np.int64), run_up)
+        given = Circumstances(None if before is None else np.array(before), run_up=run_up)
         try:
             found = compensator.for_joints(wanted, payload, given=given)
         except CompensationRefused as refused:

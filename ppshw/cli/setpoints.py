@@ -141,12 +141,9 @@ def _found_there(given: Any, site: Any, here: dict[str, float], felt: dict[str, 
     """The circumstances as the site has them; what an option says goes before it."""
     from dataclasses import replace
 
-    last_way = run_up(site)
-    approach = np.where(given.approach != 0, given.approach, np.sign(last_way).astype(np.int64))
-    last_way = np.where(np.sign(last_way) == approach, last_way, 0.0)  # an option says otherwise: by a way unknown
     start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
     around = replace(given.around, temperatures={**felt, **given.around.temperatures})
-    return replace(given, start=start, approach=approach, run_up=last_way, around=around)
+    return replace(given, start=start, run_up=run_up(site), around=around)
 
 
 def run_up(site: Any) -> Any:

@@ -75,8 +75,8 @@ class Circumstances:
     """What is known of a move beyond its end and its load. Only effects that a diagnosis found ask for it.
 
     start       (n,) joint values that the move starts from; None: unknown
-    approach    (n,) direction of each joint's final motion where that is fixed, 0: as `start` has it
-    run_up      (n,) that motion itself, signed, where a site always has one [m, rad]; None: unknown
+    approach    (n,) direction of each joint's final motion where somebody says it, 0: as `run_up` or `start` has it
+    run_up      (n,) final motions that a site always has, signed, 0: none [m, rad]
     before      (n,) direction of the motion before, which a joint keeps that does not move
     loaded_for  how long the load has been on [s]; None: unknown. Asked only where there is no past
     """
@@ -88,6 +88,21 @@ class Circumstances:
     around: Around = field(default_factory=Around)
     loaded_for: float | None = None
     past: Past | None = None
+
+    @property
+    def seen_to(self) -> Signs | None:
+        """(n,) directions of final motions that somebody sees to, 0 elsewhere; None: of none."""
+        if self.run_up is None:
+            return self.approach
+        always = np.sign(self.run_up).astype(np.int64)
+        return always if self.approach is None else np.where(self.approach != 0, self.approach, always)
+
+    @property
+    def last_way(self) -> Array | None:
+        """(n,) the run-up, 0 where somebody says that a joint comes from its other side: by a way unknown."""
+        if self.run_up is None or self.approach is None:
+            return self.run_up
+        return np.where(np.sign(self.run_up) == self.seen_to, self.run_up, 0.0)
 
 
 class Compensator:
@@ -169,7 +184,7 @@ class Compensator:
         around = given.around
         load = around.load if given.past is not None else "now"
         said = around.time, load, around.temperatures
-        return Moment(q, _approach(q, given), payload, *said, given.run_up, given.approach)
+        return Moment(q, _approach(q, given), payload, *said, given.last_way, given.seen_to)
 
     def _solved(
         self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances, first: Array | None
@@ -263,4 +278,4 @@ def _approach(end: Array, given: Circumstances) -> Signs:
     """(n,) directions that a move to `end` brings about; 0 where nothing says so."""
     before = np.zeros(len(end), dtype=np.int64) if given.before is None else given.before
     found = before if given.start is None else approach_of(given.start, end, before)
-    return found if given.approach is None else np.where(given.approach != 0, given.approach, found)
+    return found if given.seen_to is None else np.where(given.seen_to != 0, given.seen_to, found)

@@ -9,7 +9,7 @@ must not be driven into it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -120,9 +120,8 @@ class KnownEffects:
             if place and place not in now.temperatures:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
         reserve = []
-        ways = {int(c.args["joint"]) for c in effect.columns if c.function in FROM_WAY}
         winds = effect.name == "friction_hysteresis" and now.run_up is None
-        if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in ways):
+        if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in _joints(effect.columns, FROM_WAY)):
             reserve.append("how far the joint has gone since it turned back is not known; taken as far")
         oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
         if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
@@ -190,8 +189,7 @@ class KnownEffects:
     def _ways(self, now: Moment, past: Past) -> Iterator[list[tuple[Moment, Past]]]:
         """Of each thing that effects ask for and nobody knows, what it may as well be."""
         columns = [c for e in self.effects if not e.of_instrument for c in e.columns]
-        sides = {int(c.args.get("joint") or 0) for c in columns if c.function in FROM_APPROACH}
-        for joint in sorted(j for j in sides if now.approach[j] == 0):
+        for joint in (j for j in _joints(columns, FROM_APPROACH) if now.approach[j] == 0):
             yield [(_come_from(now, joint, side), _all_come_from(past, joint, side)) for side in (-1, 1)]
         places = {str(c.args["place"]) for c in columns if c.args.get("place")}
         for place in sorted(places - set(now.temperatures)):
@@ -200,7 +198,7 @@ class KnownEffects:
                 felt = [{**now.temperatures, place: low + share * (high - low)} for share in EVENLY]
                 yield [(replace(now, temperatures=each), past) for each in felt]
         first = past.moments[0] if past.moments else now
-        for joint in sorted(j for j in self._winds_up() if now.approach[j] and not first.approach[j]):
+        for joint in (j for j in _joints(columns, FROM_WAY) if now.approach[j] and not first.approach[j]):
             yield [(now, _all_come_from(past, joint, side)) for side in (-1, 1)]
         if self._creeps and not past.known:
             hours = self._reference.get("hours", 0.0)
@@ -208,11 +206,6 @@ class KnownEffects:
                 (now, self.loaded_for(now, 3600.0 * age, first.q, first.approach))
                 for age in (0.0, min(UNSAID_H, hours), hours)
             ]
-
-    def _winds_up(self) -> set[int]:
-        """Joints whose effects ask how far they have gone since they turned back."""
-        columns = (c for e in self.effects if not e.of_instrument for c in e.columns)
-        return {int(c.args["joint"]) for c in columns if c.function in FROM_WAY}
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""
@@ -393,6 +386,11 @@ class KnownEffects:
         put_on = replace(now, time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
         return replace(past, known=seconds is not None, recorded=lay_before is not None)
+
+
+def _joints(columns: Iterable[Column], functions: Collection[str]) -> list[int]:
+    """Joints that columns with these functions are of, in order."""
+    return sorted({int(c.args["joint"]) for c in columns if c.function in functions})
 
 
 def _come_from(moment: Moment, joint: int, side: int) -> Moment:

@@ -18,7 +18,7 @@ from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, st
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.parameters import of_one_wave
+from ppshw.diagnosis.parameters import BY_CAUSE, of_one_wave
 from ppshw.diagnosis.scatter import Scatter, scatter_of, scatter_without_a_name
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.serial import SerialNoise
@@ -243,9 +243,9 @@ def _each_once(tried: Tried, found: list[Found]) -> list[Found]:
     for f in found:
         mine = tried.candidates[f.best]
         theirs = [tried.candidates[g.best] for g in kept if g.name == f.name]
-        if f.name[0] in ("target_moved", "cross_coupling"):
+        if f.name[0] in BY_CAUSE:
             theirs = [k for k in theirs if k.covariate == mine.covariate]
-        if not any(of_one_wave(k, mine) for k in theirs):
+        if not any(of_one_wave(k.shape.get("period"), mine.shape.get("period")) for k in theirs):
             kept.append(f)
     return kept
 

@@ -208,24 +208,21 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
     before = misfit(machine, recording)
     if before < SIGN_M:
         return
+    for k, joint in enumerate(machine.joints):
+        units = SIGN if before < GROSS_M else LENGTHS if joint.prismatic else ANGLES
+        for factor, what in units.items():
+            yield _tried(machine, _scaled(recording, [k], factor), f"q_{joint.name}", factor, what, before)
     if before < GROSS_M:
-        for k, joint in enumerate(machine.joints):
-            yield _tried(machine, _scaled(recording, k, -1.0), f"q_{joint.name}", -1.0, SIGN[-1.0], before)
         return
     names = [f"{name}_{axis}" for name in recording.target_names for axis in "xyz"]
     for factor, what in LENGTHS.items():
         changed = replace(recording, points=factor * recording.points)
         yield _tried(machine, changed, _from_to(names), factor, what, before)
-    for k, joint in enumerate(machine.joints):
-        for factor, what in (LENGTHS if joint.prismatic else ANGLES).items():
-            yield _tried(machine, _scaled(recording, k, factor), f"q_{joint.name}", factor, what, before)
     turning = [k for k, joint in enumerate(machine.joints) if not joint.prismatic]
     if len(turning) > 1:
-        q = recording.q.copy()
-        q[:, turning] *= np.pi / 180
-        names = [f"q_{machine.joint_names[k]}" for k in turning]
-        degrees = float(np.pi / 180)
-        yield _tried(machine, replace(recording, q=q), _from_to(names), degrees, ANGLES[degrees], before)
+        names, degrees = [f"q_{machine.joint_names[k]}" for k in turning], float(np.pi / 180)
+        changed = _scaled(recording, turning, degrees)
+        yield _tried(machine, changed, _from_to(names), degrees, ANGLES[degrees], before)
     for t, name in enumerate(recording.target_names):
         for a, axis in enumerate("xyz"):
             for factor, what in LENGTHS.items():
@@ -236,9 +233,9 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
         yield _tried(machine, replace(recording, points=points), column, None, "is exchanged", before)
 
 
-def _scaled(recording: Recording, joint: int, factor: float) -> Recording:
+def _scaled(recording: Recording, joints: Sequence[int], factor: float) -> Recording:
     q = recording.q.copy()
-    q[:, joint] *= factor
+    q[:, joints] *= factor
     return replace(recording, q=q)
 
 

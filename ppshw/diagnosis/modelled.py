@@ -15,6 +15,7 @@ from ppshw.diagnosis.carried import a_matter_of_time
 from ppshw.diagnosis.found import Found, coefficients, modelled
 from ppshw.diagnosis.gaussian_process import in_words
 from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.parameters import is_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms.effect import UNNAMED, Effect
@@ -42,7 +43,7 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
     whole = _fitted_without(space, [p for p in found if _left_out(space, p)])
     alone = _fitted_without(space, [p for p in found if _left_out(space, p) or p in corrections])
     effects = []
-    answered = {(finding["effect"], finding["joint"]): finding["sentence"] for finding in findings}
+    answered = list(findings)  # not yet said of one of them
     for f, candidate in found:
         if not f.carried:
             continue
@@ -50,7 +51,9 @@ def extended(space: Workspace, found: list[Pair], findings: Sequence[Mapping[str
         corrects = _is_correction(candidate)
         columns, values, covariance = modelled(whole if corrects else alone, candidate, f)
         own, _, rms = coefficients(whole if corrects else alone, candidate, f)
-        said = answered.pop((name, candidate.joint), None) or sentence(space.context, candidate, own, rms)
+        if (mine := next((each for each in answered if is_of(each, candidate)), None)) is not None:
+            answered.remove(mine)
+        said = mine["sentence"] if mine is not None else sentence(space.context, candidate, own, rms)
         if corrects:
             said += f" It is carried without a name, as {in_words(columns, space.machine)}."
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -18,6 +18,8 @@ from ppshw.terms.shapes.time_and_heat import clock
 
 Array = NDArray[np.float64]
 Entries = dict[str, dict[str, Any]]
+# Effects of which each has a finding per cause: another reflector, another joint that a coupling goes with.
+BY_CAUSE = frozenset({"target_moved", "cross_coupling"})
 SAME_PERIOD = 0.05  # by which periods of one wave may differ, whose height changes along its joint's travel
 MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 
@@ -51,11 +53,18 @@ def numbers_of(
     return out
 
 
-def of_one_wave(one: Candidate, other: Candidate) -> bool:
-    """Whether two forms have nearly the same period, or one of them none."""
-    if "period" not in one.shape or "period" not in other.shape:
-        return True
-    return abs(other.shape["period"] / one.shape["period"] - 1.0) < SAME_PERIOD
+def of_one_wave(one: float | None, other: float | None) -> bool:
+    """Whether two periods are nearly the same, or one of them none."""
+    return one is None or other is None or abs(other / one - 1.0) < SAME_PERIOD
+
+
+def is_of(said: Mapping[str, Any], candidate: Candidate) -> bool:
+    """Whether a finding as answered is of a candidate's effect: of its name, its joint, its cause where each has one of
+    its own, and of waves of its period."""
+    named = (said["effect"], said["joint"]) == (candidate.effect, candidate.joint)
+    cause = candidate.effect not in BY_CAUSE or said["covariate"] == candidate.covariate
+    period = said["parameters"].get("period", {}).get("value")
+    return named and cause and of_one_wave(period, candidate.shape.get("period"))
 
 
 def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
@@ -72,7 +81,8 @@ def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
     namesakes = np.flatnonzero(tried.name_of == tried.name_of[best])
     kin = np.array([
         j for j in namesakes
-        if _differs_in_shape_alone(mine, tried.candidates[j]) and of_one_wave(mine, tried.candidates[j])
+        if _differs_in_shape_alone(mine, tried.candidates[j])
+        and of_one_wave(mine.shape.get("period"), tried.candidates[j].shape.get("period"))
     ])  # fmt: skip
     said = evidence[kin] + tried.log_share[kin]
     weights = np.exp(said - said.max())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from ppshw.diagnosis.checks import ODD, check, sentence
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
+from ppshw.diagnosis.parameters import is_of
 from ppshw.diagnosis.replicas import Compared, of_space
 from ppshw.diagnosis.visibility import NEVER, TOLD_APART
 from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
@@ -144,7 +144,7 @@ def _findings(diagnosis: Diagnosis, located: Map, units: dict[str, str]) -> list
         fitted = (white * gradient[:, :, which]).sum(axis=1) / np.maximum(reading.weights, 1e-30) * 1e6
         x, label = _abscissa(compared.context, candidate)
         named = candidate.effect != "nameless"
-        said = next((a for a in diagnosis.answer["findings"] if named and _is_of(a, candidate)), None)
+        said = next((a for a in diagnosis.answer["findings"] if named and is_of(a, candidate)), None)
         title = f"{candidate.effect.replace('_', ' ') if named else 'Structure without a name'}"
         title += f", {candidate.joint}" if candidate.joint else ""
         picture = residuals.over(
@@ -186,14 +186,6 @@ def _channel(
     score = np.einsum("ni,nic->nc", white, gradient[:, :, allowed])
     size = (score**2 / np.maximum((gradient[:, :, allowed] ** 2).sum(axis=1), 1e-30)).sum(axis=0)
     return allowed[int(np.argmax(size))]
-
-
-def _is_of(said: Mapping[str, Any], candidate: Candidate) -> bool:
-    """Whether a finding as answered is a candidate's: of waves in one joint that of the same period."""
-    period = said["parameters"].get("period", {}).get("value")
-    same = period is None or period == candidate.shape.get("period")
-    of_same = candidate.joint is not None or said["covariate"] == candidate.covariate
-    return said["effect"] == candidate.effect and said["joint"] == candidate.joint and same and of_same
 
 
 def _abscissa(c: Context, candidate: Candidate) -> tuple[Array, str]:

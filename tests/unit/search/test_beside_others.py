@@ -15,10 +15,12 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
+from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
 from ppshw.diagnosis.weights import as_well, weigh
+from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import (
@@ -587,12 +589,16 @@ def test_two_screws_in_one_drive_are_two_findings_and_a_mended_wave_is_one(
 
 def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
     shifts = [Column("points", "target_shift", {"target": t, "axis": t}) for t in (0, 1)]
-    there = space.context.hours > np.median(space.context.hours)
-    moved = sum(of_size(space, k.evaluate(space.context) * there[:, None], 4.0) for k in shifts)
-    found, tried = look(replace(space, data=space.data + moved), ["target_moved"], NAME)
+    since = space.context.hours > np.median(space.context.hours)
+    moved = sum(of_size(space, k.evaluate(space.context) * since[:, None], 4.0) for k in shifts)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["target_moved"], NAME)
     whose = {best_of(tried, f).covariate for f in _each_once(tried, found)}
     assert {f.name for f in found} == {("target_moved", None)}
     assert whose == set(space.machine.targets) - {list(space.machine.targets)[2]}
+    said = [finding(there, tried, f) for f in found]
+    carried = extended(there, [(f, best_of(tried, f)) for f in found], said[::-1])  # in any order
+    assert [effect.sentence for effect in carried.effects] == [each["sentence"] for each in said]
 
 
 def test_a_jump_of_a_rail_that_nothing_turns_may_be_one_of_the_base(space: Workspace) -> None:
