@@ -44,6 +44,9 @@ Array = NDArray[np.float64]
 SetpointMap = Callable[[Array, Array, Array, Around], Array]
 LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
 SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess)
+# A load of less is not weighed; of one that is, the force sensor reads at least such a share (newtons read as pounds are
+# 0.22, as kilograms 0.10, as kilonewtons 0.001). Ours.
+LEAST_WEIGHED_N, LEAST_OF_A_LOAD = 50.0, 0.5
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 
 
@@ -317,6 +320,22 @@ class _Run:
         self._log(file, "load change", text, note)
         self._load = load.name
         self._baseline(file, f"after the change to load {load.name}")
+        self._weighed(load.name, mass)
+
+    def _weighed(self, load: str, mass: float) -> None:
+        """Raises RunFailed where the force sensor reads less than half of a load's weight: a load that is not on, or a
+        sensor that says other units than newtons, costs a campaign. What else it bears nobody knows, so more may be
+        right."""
+        weight = mass * float(np.linalg.norm(self._plan.machine.gravity))
+        if self._bench.force_sensor is None or weight < LEAST_WEIGHED_N:
+            return
+        read = float(np.linalg.norm(self._bench.force_sensor.read().wrench[:3]))
+        if read < LEAST_OF_A_LOAD * weight:
+            raise RunFailed(
+                f"load '{load}' of {mass:g} kg weighs {weight:.0f} N, but {self._bench.force_sensor.name} reads "
+                f"{read:.3g} N: is it on the machine, and does the sensor say newtons ('zero' and 'matrix' in the site "
+                "file)?"
+            )
 
     def _baseline(self, file: RecordingFile, when: str) -> Array | None:
         if not self._plan.script.baseline or self._bench.force_sensor is None:

@@ -161,7 +161,7 @@ class BotaSensor:
         if not np.all(np.isfinite(values)):
             raise InstrumentFault(self.name, "sends values that are no numbers")
         temperature = float(np.median([frame.temperature_c for frame in good]))
-        return self._calibration.reading(values, temperature if math.isfinite(temperature) else None)
+        return self._calibration.reading(self.name, values, temperature if math.isfinite(temperature) else None)
 
     def close(self) -> None:
         self._stream.close()

@@ -20,7 +20,8 @@ import serial
 
 from drivers.ports import Array, WrenchReading
 from drivers.serial_port import Port, line, open_port, port_name
-from ppshw.errors import HardwareTimeout, LineLost, ProtocolError
+from ppshw.errors import HardwareTimeout, InstrumentFault, LineLost, ProtocolError
+from ppshw.recording import LARGEST_WRENCH
 
 Frame_co = TypeVar("Frame_co", covariant=True)
 Frame = TypeVar("Frame")
@@ -139,8 +140,13 @@ class Calibration:
         if self.zero.shape != (6,) or self.matrix.shape != (6, 6):
             raise ValueError(f"zero must be (6,), matrix (6, 6), not {self.zero.shape} and {self.matrix.shape}")
 
-    def reading(self, values: Array, temperature_c: float | None = None) -> WrenchReading:
-        """Median and standard deviation over (n, 6) frames."""
+    def reading(self, name: str, values: Array, temperature_c: float | None = None) -> WrenchReading:
+        """Median and standard deviation over (n, 6) frames of the sensor of this name. Raises InstrumentFault for what
+        no payload weighs and no command would read back."""
         wrenches = values @ self.matrix.T - self.zero
+        if not (largest := float(np.abs(wrenches).max())) <= LARGEST_WRENCH:
+            raise InstrumentFault(
+                name, f"reads {largest:.3g} N or N m, expected at most {LARGEST_WRENCH:g} ('matrix' in the site file?)"
+            )
         spread = wrenches.std(axis=0, ddof=1) if len(wrenches) > 1 else np.zeros(6)
         return WrenchReading(np.median(wrenches, axis=0), spread, len(wrenches), temperature_c)

@@ -132,7 +132,7 @@ class Gsv8Sensor:
             raise
         self._command(STOP)
         self._raise_for_status(frames)
-        return self._calibration.reading(self._plausible(np.array([frame.values for frame in frames])))
+        return self._calibration.reading(self.name, self._plausible(np.array([frame.values for frame in frames])))
 
     def close(self) -> None:
         self._stream.close()

@@ -64,10 +64,11 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
     warn(a.calibration, warnings := calibration.doubts())
     last_way = run_up(site)
+    correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine))
+    correct.refuse_before(site.clock().utc().timestamp())
     with Bar() as bar:
         foreseen = corrected_plan(plan, compensator, last_way, lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
-    correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine))
     return correct, file_hash(a.calibration), warnings
 
 

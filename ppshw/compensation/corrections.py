@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,10 @@ from numpy.typing import NDArray
 from ppshw.compensation.compensator import Circumstances, Compensator, Setpoints
 from ppshw.compensation.known_effects import Verdict
 from ppshw.compensation.past import Moment, Past, approach_of
+from ppshw.errors import CompensationRefused
 from ppshw.recording import Around, Recording
 from ppshw.statics import payload_at
-from ppshw.terms.earlier import another_load, continued, goes_on
+from ppshw.terms.earlier import SAME_S, another_load, continued, goes_on
 
 Array = NDArray[np.float64]
 # An axis that stands this near to where it was sent last leaves from there, whatever its encoder rounds [m, rad].
@@ -42,6 +45,8 @@ class Corrections:
         if so_far is not None:
             self._visits = continued(self._visits, so_far)[0]
         self._loads: set[str] = set()  # that this run has met
+        looks_back = compensator.known is not None and compensator.known.looks_back and self._visits is not None
+        self._ended = float(np.max(self._visits.time, initial=-math.inf)) if looks_back else -math.inf
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
@@ -56,12 +61,24 @@ class Corrections:
         """The same for an answer: of those that were taken out, or of those that were not."""
         return [{**v.as_dict(), "visits": n} for v, n in self.said if v.taken_out == taken_out]
 
+    def refuse_before(self, time: float) -> None:
+        """Raises CompensationRefused where effects look back, and a setpoint at `time` [s since 1970] comes before
+        visits that they look back to."""
+        if time < self._ended - SAME_S:
+            now, ended = (datetime.fromtimestamp(t, UTC).isoformat(timespec="seconds") for t in (time, self._ended))
+            raise CompensationRefused(
+                f"the clock says {now}, the visits that this calibration was made from go on until {ended}: creep, lags "
+                "and the like need what went before; expected this computer's clock and the recording's times to agree "
+                "(times without an offset are taken as UTC)"
+            )
+
     def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
         """(n,) corrected setpoints of `wanted` (n,), from the wrench (6,) as read `here` (n,)."""
         payload = payload_at(self._compensator.machine, wrench, here, wanted)
         known = self._compensator.known
         if known is None:
             return self._corrected(wanted, payload, Circumstances()).corrected
+        self.refuse_before(around.time)
         if self._visits is not None and not self._past.moments and goes_on(self._visits, around.time):
             self._past = known.past_of(self._visits)
         if around.load not in self._loads:

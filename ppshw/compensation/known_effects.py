@@ -79,7 +79,7 @@ class KnownEffects:
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
-        self._looks_back = any(_looks_back(c) for c in columns)
+        self.looks_back = any(_looks_back(c) for c in columns)
         self._creeps = any(e.name == "creep" for e in effects)
         # only those ask for the links' compliances
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
@@ -250,7 +250,7 @@ class KnownEffects:
         if column.function in ("covariate", "covariate_pair"):
             return np.asarray(_mean_bump(column))
         if column.function in ("unexplained", "instead"):  # without them the base model stands as it is
-            return np.zeros((self.machine.n + 1, 6))
+            return np.zeros(() if column.on == "frame" else (self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         values = self._over_time(column, context)
@@ -344,7 +344,7 @@ class KnownEffects:
         chain = frames(self.machine, here.q, errors)
         compliance = self._compliance(here)
         changed = any(a.load != b.load for a, b in pairwise(past.moments[-1:] + moments))
-        if not self._looks_back:
+        if not self.looks_back:
             known = past.known or changed
             return Past(moments[-1:], wrenches[-1:], chain[-1:], compliance[-1:], known, past.recorded)
         wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)

@@ -206,7 +206,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
 
 
 def _per_kelvin(candidate: Candidate, values: Array) -> str:
-    """Of what grows along itself or moves in one component, by how much."""
+    """Of what grows along itself or moves in one component, by how much; along a travel at either end of it."""
     if candidate.effect != "thermal_growth":
         return ""
     first = candidate.columns[0]
@@ -214,7 +214,11 @@ def _per_kelvin(candidate: Candidate, values: Array) -> str:
         return f" by {values[0] * 1e6:.3g} ppm per kelvin"
     if candidate.component is None or len({column.args["place"] for column in candidate.columns}) > 1:
         return ""
-    return f" by {values[0] * 1e6:.3g} {'µrad' if candidate.component.startswith('r') else 'µm'} per kelvin"
+    unit = f"{'µrad' if candidate.component.startswith('r') else 'µm'} per kelvin"
+    along = sum(v for v, column in zip(values, candidate.columns, strict=True) if column.function == "temperature_q")
+    if along:
+        return f" by {(values[0] - along) * 1e6:.3g} {unit} at one end of its travel, {(values[0] + along) * 1e6:.3g} at the other"
+    return f" by {values[0] * 1e6:.3g} {unit}"
 
 
 def _parts(candidate: Candidate, values: Array) -> str:
@@ -301,8 +305,10 @@ def _moved(candidate: Candidate, values: Array) -> str:
 
 
 def _channels(candidate: Candidate) -> str:
-    one = candidate.covariate in WRENCH_COMPONENTS
-    return f"{candidate.covariate} is off" if one else f"channels are off, with the {candidate.covariate},"
+    if candidate.covariate in WRENCH_COMPONENTS:
+        return f"{candidate.covariate} is off"
+    anew = candidate.covariate == "since_load_change"
+    return f"channels are off, {'anew after every change of the load' if anew else f'with the {candidate.covariate}'},"
 
 
 def _change(candidate: Candidate) -> str:

@@ -171,6 +171,15 @@ def test_zero_and_matrix_make_newtons(couch: Couch, clock: SteppedClock) -> None
         assert sensor.read().wrench == pytest.approx([0, -200, 0, 0, 0, -7], abs=1e-4)
 
 
+def test_what_no_payload_weighs_is_a_fault(couch: Couch, clock: SteppedClock) -> None:
+    for kind, device in ((BotaSensor, SimulatedBota), (Gsv8Sensor, SimulatedGsv8)):
+        couch.load = np.array([0.0, 0.0, -600.0, 0.0, 0.0, 0.0])
+        sensor = kind(LoopbackPort(device(couch, clock)), clock, matrix=(1e4 * np.eye(6)).tolist())
+        sensor.start()
+        with pytest.raises(InstrumentFault, match=r"reads 6.*e\+06 N or N m, expected at most 1e\+06"):
+            sensor.read()
+
+
 def test_a_matrix_of_the_wrong_shape_is_refused(clock: SteppedClock) -> None:
     with pytest.raises(ValueError, match=r"matrix \(6, 6\)"):
         BotaSensor("/dev/null", clock, matrix=[[1, 0], [0, 1]])

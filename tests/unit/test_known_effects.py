@@ -19,7 +19,7 @@ from ppshw.calibration import Calibration, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
 from ppshw.compensation.past import Moment
-from ppshw.errors import CalibrationError
+from ppshw.errors import CalibrationError, CompensationRefused
 from ppshw.evaluation import evaluate
 from ppshw.identification import identify
 from ppshw.machine import load_machine
@@ -335,6 +335,35 @@ def test_creep_that_a_run_brings_along_is_that_of_the_age_of_its_load() -> None:
 def creeping_over_half_an_hour() -> Compensator:
     args = {"frame": VERTICAL + 1, "component": 3, "tau": 0.5, "form": "exponential"}
     return knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+
+
+def test_setpoints_before_the_end_of_what_effects_look_back_to_are_refused() -> None:
+    """A computer's clock that had been set back by half an hour left creep of a gantry 36 mm off, and said nothing."""
+    ended = float(measured().time[-1])
+    for kind, refused in ((creeping_over_half_an_hour(), True), (lost_motion(), False)):
+        compensator = Compensator(replace(kind.calibration, visits=measured()))
+        for late in (-1800.0, 60.0):
+            move = Corrections(compensator)
+            if refused and late < 0:
+                with pytest.raises(CompensationRefused, match=r"the clock says .*\+00:00, the visits .* go on until"):
+                    move(POSE, payload(), BELOW, Around(ended + late, "box"))
+                with pytest.raises(CompensationRefused, match="expected this computer's clock"):
+                    move.refuse_before(ended + late)
+            else:
+                move.refuse_before(ended + late)
+                move(POSE, payload(), BELOW, Around(ended + late, "box"))
+
+
+def test_what_stands_beside_a_gaussian_process_in_place_of_an_effect_drives_no_axis() -> None:
+    """A calibration of both was an internal error in every setpoint."""
+    _, calibration = base()
+    inner = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    for on, frame, component in (("frame", VERTICAL + 1, TY), ("frames", 0, 0)):
+        args = {"column": inner.as_dict(), "regions": []}
+        beside = Effect("unexplained", None, (Column(on, "instead", args, frame, component),), (1e-3,), (1e-5,), "")
+        compensator = Compensator(replace(calibration, effects=(beside,), reference={"start": 1.7e9, "hours": HOURS}))
+        found = asked(compensator, start=BELOW)
+        np.testing.assert_allclose(found.corrected, asked(Compensator(calibration)).corrected, atol=1e-12)
 
 
 @pytest.mark.parametrize("lay_before", [0.0, 0.5])

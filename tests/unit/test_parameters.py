@@ -97,6 +97,9 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     assert " by 11.5 ppm per kelvin: its" in sentence(space.context, grows, np.array([1.15e-5]), 1e-4)
     shifts = next(k for k in some if k.effect == "thermal_growth" and k.component == "tx" and len(k.columns) == 1)
     assert " by 20 µm per kelvin: its" in sentence(space.context, shifts, np.array([2e-5]), 1e-4)
+    rail = next(k for k in some if k.columns[-1].function == "temperature_q" and k.component == "tx")
+    said = sentence(space.context, rail, np.array([-1.6e-6, 1.44e-5]), 1e-4)
+    assert " by -16 µm per kelvin at one end of its travel, 12.8 at the other: its" in said
     any_way = next(k for k in some if k.effect == "thermal_growth" and len(k.columns) == 6)
     assert f"moves with {any_way.covariate}: its" in sentence(space.context, any_way, np.full(6, 1e-5), 1e-4)
 

@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -641,6 +642,7 @@ def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path)
 def test_the_mass_that_the_operator_put_on_is_the_one_in_the_log(situation: Situation) -> None:
     class Corrects(AutomaticOperator):
         def change_load(self, load: LoadCase) -> Answer:
+            situation.load(replace(load, mass=65.0) if load.mass else load)
             return Answer("Ann", 65.0) if load.mass else Answer("Ann")
 
     situation.run(Corrects())
@@ -649,6 +651,23 @@ def test_the_mass_that_the_operator_put_on_is_the_one_in_the_log(situation: Situ
     ]  # fmt: skip
     with RecordingFile.open(situation.out) as file:
         assert [data["mass_kg"] for _, kind, _, data in file.events() if kind == "load change"] == [0.0, 65.0]
+
+
+@pytest.mark.parametrize(("share", "reads"), [(0.0, "0 N"), (1e-3, "0.49 N"), (0.22, "108 N")])
+def test_a_load_that_hardly_weighs_anything_stops_the_run_before_the_machine_moves(
+    situation: Situation, share: float, reads: str
+) -> None:
+    class Forgets(AutomaticOperator):
+        def change_load(self, load: LoadCase) -> Answer:
+            situation.load(replace(load, mass=share * load.mass))
+            return Answer("Ann")
+
+    with pytest.raises(RunFailed, match=f"'box' of 50 kg weighs 490 N, but force sensor reads {reads}: is it on"):
+        situation.run(Forgets())
+    assert situation.indices() == [0, 1, 2]
+    assert len(situation.axes.moves) == 3
+    situation.run(Scripted(situation))
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
 
 
 def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:
