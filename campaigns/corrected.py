@@ -29,11 +29,13 @@ def corrected_plan(
     plan: Plan,
     compensator: Compensator,
     run_up: Array | None = None,
+    point: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """The same visits at the setpoints that they will be corrected to, as far as these can be known.
 
     run_up  (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
+    point   what fewer than six joints bring to its place; by default the machine's `where_it_counts`
     Raises CampaignError naming the step, the visit and why its correction would be refused.
     """
     low, high = compensator.calibration.payload_range.T
@@ -47,7 +49,7 @@ def corrected_plan(
         before = visit.via or (visits[-1].setpoints if visits else None)
         given = Circumstances(None if before is None else np.array(before), run_up=run_up)
         try:
-            found = compensator.for_joints(wanted, payload, given=given)
+            found = compensator.for_joints(wanted, payload, point or plan.machine.where_it_counts, given)
         except CompensationRefused as refused:
             raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.index}: {refused}") from None
         visits.append(replace(visit, setpoints=tuple(found.corrected.tolist())))

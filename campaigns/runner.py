@@ -44,8 +44,8 @@ Array = NDArray[np.float64]
 SetpointMap = Callable[[Array, Array, Array, Around], Array]
 LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
 SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess)
-# A load of less is not weighed; of one that is, the force sensor reads at least such a share (newtons read as pounds are
-# 0.22, as kilograms 0.10, as kilonewtons 0.001). Ours.
+# A load of less is not weighed; of one that is, the force sensor reads at least such a share (newtons read as pounds
+# are 0.22, as kilograms 0.10, as kilonewtons 0.001). Ours.
 LEAST_WEIGHED_N, LEAST_OF_A_LOAD = 50.0, 0.5
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 

@@ -140,8 +140,9 @@ class Machine:
 
     @property
     def where_it_counts(self) -> str:
-        """The point at which accuracy is asked for unless somebody says otherwise: `treatment`, or else the tip."""
-        return "treatment" if "treatment" in self.points else "tip"
+        """The point at which accuracy is asked for unless somebody says otherwise: `treatment`, else the first point of
+        the file, or the tip."""
+        return "treatment" if "treatment" in self.points else next(iter(self.points), "tip")
 
     def limits(self) -> tuple[Array, Array]:
         """(n,) lower and upper; infinite where the file gives none."""

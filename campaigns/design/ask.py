@@ -30,7 +30,7 @@ HARDLY = 0.02
 @dataclass(frozen=True)
 class Question:
     """visits, accuracy [m]: one of them, or neither after a recording; loads: a script whose load cases are there to be
-    put on; point: where accuracy counts, default `treatment` or the tip."""
+    put on; point: where accuracy counts, default `where_it_counts`."""
 
     machine: Machine
     visits: int | None

@@ -85,7 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
     g.add_argument("--calibration", metavar="CAL.json", help="believe the prior strengths and the noise learnt there")
     g.add_argument("--loads", metavar="SCRIPT", help="only load cases of this script (default: 20 to 200 kg, or less)")
     g.add_argument("--load-cases", type=count, metavar="K", help="how many loads to put on (default: 4)")
-    g.add_argument("--point", help="where accuracy counts (default: treatment, or the tip)")
+    g.add_argument("--point", help="where accuracy counts (default: treatment, else the first point, or the tip)")
     g.add_argument("--seed", type=seed, help="of everything random (default: 1)")
 
     p = add("run", run, "run a campaign; the same command again goes on where it stopped")
@@ -93,6 +93,8 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--site", required=True, metavar="S", help="site file")
     p.add_argument("--out", required=True, metavar="REC.db", help="the recording; goes on with one that is begun")
     p.add_argument("--calibration", metavar="CAL.json", help="drive compensated setpoints")
+    p.add_argument("--point", help="with fewer than six joints: what they bring to its place (default: treatment, else "
+                   "the first point, or the tip)")  # fmt: skip
     _reset_faults(p)
 
     p = add("import", import_, "interchange CSV → recording, lossless")

@@ -48,9 +48,17 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     warnings = calibration.doubts()
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
-    if a.temperature and not any(effect.places for effect in calibration.effects):
-        warnings.append("--temperature: no effect here goes with a temperature, it changes nothing")
+    felt = {place for effect in calibration.effects for place in effect.places}
+    for place in sorted({said.split("=")[0] for said in a.temperature or ()} - felt):
+        warnings.append(f"--temperature {place}: no effect here goes with it, it changes nothing")
     return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
+
+
+def check_point(name: str, machine: Any) -> None:
+    """Raises BadInput where the machine file has no such point."""
+    if name not in ("tip", *machine.points, *machine.targets):
+        known = ", ".join(["tip", *machine.points, *machine.targets])
+        raise BadInput(f"--point: no point named '{name}' in {machine.file}, expected one of {known}")
 
 
 def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dict[str, Any], str]:
@@ -59,9 +67,7 @@ def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dic
 
     machine = compensator.machine
     payload = numbers(a.wrench, 6, "--wrench")
-    if a.point not in ("tip", *machine.points, *machine.targets):
-        known = ", ".join(["tip", *machine.points, *machine.targets])
-        raise BadInput(f"--point: no point named '{a.point}' in {machine.file}, expected one of {known}")
+    check_point(a.point, machine)
     if a.joints is not None and a.near is not None:
         raise BadInput("--near: chooses among the ways to reach a pose, and --joints says which one already")
     if a.joints is not None:

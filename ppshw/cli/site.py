@@ -11,8 +11,8 @@ from shutil import get_terminal_size
 from typing import Any
 
 from ppshw.cli.answers import new_recording, say, warn
-from ppshw.cli.setpoints import run_up
-from ppshw.errors import HardwareError
+from ppshw.cli.setpoints import check_point, run_up
+from ppshw.errors import BadInput, HardwareError
 from ppshw.progress import Bar, folded
 from ppshw.whole_file import file_hash
 
@@ -47,7 +47,8 @@ def run(a: argparse.Namespace) -> None:
         if correct.position_first and result.measured:
             off, turned = (correct.left * 1e3).tolist()
             answer |= {"most_left_mm": off, "most_left_mrad": turned}
-            lines.append(f"tip: at most {off:.3f} mm and {turned:.3f} mrad stay, which the joints cannot put right")
+            stay = f"at most {off:.3f} mm and {turned:.3f} mrad stay"
+            lines.append(f"{correct.point}: {stay}, which the joints cannot put right")
     say(a, answer, folded(lines))
 
 
@@ -55,19 +56,26 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     """Compensated setpoints for a whole campaign, when a calibration is given; refused here where they would be; and
     warnings of that calibration."""
     if a.calibration is None:
+        if a.point is not None:
+            raise BadInput("--point: has no meaning without --calibration")
         return None, "as planned", []
+    if a.point is not None:
+        check_point(a.point, site.machine)
     from campaigns.corrected import corrected_plan
     from campaigns.site import check_moves
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator, Corrections
 
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
-    warn(a.calibration, warnings := calibration.doubts())
+    warnings = calibration.doubts()
+    if a.point is not None and not compensator.position_first:
+        warnings.append("--point: these joints put the whole end-effector frame right, it changes nothing")
+    warn(a.calibration, warnings)
     last_way = run_up(site)
-    correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine))
+    correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine), point=a.point)
     correct.refuse_before(site.clock().utc().timestamp())
     with Bar() as bar:
-        foreseen = corrected_plan(plan, compensator, last_way, lambda k, n: bar("setpoints", k, n))
+        foreseen = corrected_plan(plan, compensator, last_way, correct.point, lambda k, n: bar("setpoints", k, n))
     check_moves(foreseen, site)
     return correct, file_hash(a.calibration), warnings
 

@@ -31,22 +31,25 @@ class Corrections:
                     the calibration was made from, are what the machine did last if it goes on soon after them
                     (`earlier.goes_on`) and nothing else is said
     run_up          (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
+    point           what fewer than six joints bring to its place; by default the machine's `where_it_counts`
     left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
     position_first  as the compensator's
     """
 
     def __init__(
         self, compensator: Compensator, after: Recording | None = None, run_up: Array | None = None,
-        so_far: Recording | None = None,
+        so_far: Recording | None = None, point: str | None = None,
     ) -> None:  # fmt: skip
         self._compensator, self._run_up = compensator, run_up
+        self.point = point or compensator.machine.where_it_counts
         self._past = Past()
         self._visits = compensator.calibration.visits if after is None else None
         if so_far is not None:
             self._visits = continued(self._visits, so_far)[0]
         self._loads: set[str] = set()  # that this run has met
-        looks_back = compensator.known is not None and compensator.known.looks_back and self._visits is not None
-        self._ended = float(np.max(self._visits.time, initial=-math.inf)) if looks_back else -math.inf
+        self._ended = -math.inf  # when visits ended that effects look back to [s since 1970]
+        if self._visits is not None and compensator.known is not None and compensator.known.looks_back:
+            self._ended = float(np.max(self._visits.time, initial=-math.inf))
         if after is not None and compensator.known is not None:
             self._past = compensator.known.past_of(after)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
@@ -67,9 +70,9 @@ class Corrections:
         if time < self._ended - SAME_S:
             now, ended = (datetime.fromtimestamp(t, UTC).isoformat(timespec="seconds") for t in (time, self._ended))
             raise CompensationRefused(
-                f"the clock says {now}, the visits that this calibration was made from go on until {ended}: creep, lags "
-                "and the like need what went before; expected this computer's clock and the recording's times to agree "
-                "(times without an offset are taken as UTC)"
+                f"the clock says {now}, the visits that this calibration was made from go on until {ended}: creep, "
+                "lags and the like need what went before; expected this computer's clock and the recording's times to "
+                "agree (times without an offset are taken as UTC)"
             )
 
     def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
@@ -105,7 +108,7 @@ class Corrections:
         return found.corrected
 
     def _corrected(self, wanted: Array, payload: Array, given: Circumstances) -> Setpoints:
-        found = self._compensator.for_joints(wanted, payload, given=given)
+        found = self._compensator.for_joints(wanted, payload, self.point, given)
         self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
         return found
 

@@ -18,7 +18,7 @@ from ppshw.diagnosis.evidence import (
     corrected_residual,
     p_value,
 )
-from ppshw.diagnosis.found import Found, against_riddles, explained, take_up
+from ppshw.diagnosis.found import Found, against_riddles, explained, pieces_of, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.serial import drop_what_noise_may_be
@@ -35,9 +35,9 @@ MOST_BESIDE_RIDDLES, PIECES_BESIDE_RIDDLES = 5, 8
 # makes none of another's friction play (backlash 239.5 where friction said 276.0, in a case of both), and clearance
 # about one axis no stiffness about another clearance (430 and 446).
 ELSEWHERE = 10.0
-# Other names to begin with: so many effects, each with at least such a share of the best's log evidence, and structure
-# without a name; another start wins by so much.
-STARTS, LOUD, ANOTHER_START = 3, 0.25, 3.0
+# Other names to begin with: so many effects, each with at least such a share of the best's log evidence, so many other
+# joints of the loudest, and structure without a name; another start wins by so much.
+STARTS, JOINTS, LOUD, ANOTHER_START = 3, 3, 0.25, 3.0
 # By so much more for each effect more that it needs: a base that wandered was said to be one that drifts about one axis
 # and whose first joint jumps, for 3.2 (another author's 6074).
 EACH_MORE = 6.0
@@ -58,7 +58,7 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
     named = any(f.name[0] != "nameless" for f in found)
     several = len(found) > 1 or any(f.more or len(tried.candidates[f.best].columns) >= FREE for f in found)
     if named and several:
-        best = before = explained(space, tried, found)
+        best = before = _worth(space, tried, found, found)
         chosen = None
         for start in starts:
             if tried.name(start[0]) in [f.name for f in found]:
@@ -78,13 +78,36 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator) -> list[Fou
     give_up(space, tried, found)
     drop_what_riddles_leave(space, tried, found)
     drop_what_noise_may_be(space, tried, found, rng)
+    _in_one(space, tried, found)
     weigh(space, tried, found)
     return found
 
 
+def _in_one(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    """A name that explains more in place of all directions of an effect takes its place: names were compared with each
+    of them (creep of two directions at one joint was that of another, of weight 0.95)."""
+    for f in [g for g in found if g.name[0] != "nameless"]:
+        pieces = pieces_of(f, found) if f in found else []
+        if not pieces:
+            continue
+        whole = explained(space, tried, found)
+        others = [g for g in found if g is not f and g not in pieces]
+        take_up(space, tried, others)
+        best, evidence = _best(tried)
+        rival = Found(best, tried.name(best), f.p, evidence, first=evidence)
+        take_up(space, tried, instead := [*others, rival], and_look=False)
+        if rival.name[0] != "nameless" and explained(space, tried, instead) > whole + ANOTHER_START:
+            found[:] = instead
+        take_up(space, tried, found)
+
+
 def _worth(space: Workspace, tried: Tried, instead: list[Found], found: Sequence[Found]) -> float:
-    """Log evidence of a set of findings, which is taken up, beside another that the search had before."""
-    total = explained(space, tried, instead)
+    """Log evidence of a set of findings, which is taken up, beside another that the search had before; half of it by
+    their bare forms: near forms of one joint's growth follow that of the joints on either side of it, its own hardly
+    does."""
+    total = 0.5 * explained(space, tried, instead)
+    take_up(space, tried, bare := [replace(f, near=(), more=()) for f in instead], and_look=False)
+    total += 0.5 * explained(space, tried, bare)
     if len(instead) <= len(found) - FEWER:
         total += against_riddles(instead)
     return total - EACH_MORE * max(0, _effects(instead) - _effects(found))
@@ -108,13 +131,17 @@ def _effects(found: Sequence[Found]) -> int:
 
 
 def _starts(tried: Tried) -> list[tuple[int, float]]:
-    """Candidates to begin with, and their names' evidence: the best of each of the effects that speak loudest."""
+    """Candidates to begin with, and their names' evidence: the best of each of the effects that speak loudest, and of
+    the loudest's other joints."""
     evidence, names = tried.said()
     order = [j for j in np.argsort(-names) if names[j] > max(LEAST_FIRST, LOUD * names.max())]
     effects: dict[str, int] = {}
     for j in order:
         effects.setdefault(tried.names[j][0], int(j))
+    loudest = next(iter(effects), "nameless")
     chosen = list(effects.values())[:STARTS]
+    if loudest != "nameless":
+        chosen += [int(j) for j in order if tried.names[j][0] == loudest][1 : 1 + JOINTS]
     chosen += [j for j in effects.values() if j not in chosen and tried.names[j][0] == "nameless"]
     return [(tried.strongest(evidence, j), float(names[j])) for j in chosen]
 

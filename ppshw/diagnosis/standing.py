@@ -215,11 +215,13 @@ def _bends_as_it_needs(tried: Tried, f: Found, pieces: Sequence[Found]) -> bool:
 
 
 def _left_by(tried: Tried, f: Found, g: Found) -> bool:
-    """Whether a finding without a name lives on what the form of a louder one left at its place, and would speak for it
-    if it were gone: growth of a bowed column said 1,496 of log evidence, what its column's seats left beside it 19, and
-    beside that the growth little (another author's 24032)."""
-    quiet = g.name[0] == "nameless" and g.first < SHADOW * f.first
-    return quiet and same_place(tried.candidates[f.best], tried.candidates[g.best])
+    """Whether a finding lives on what the form of a louder one left, and would speak for it if it were gone: without a
+    name at its place (growth of a bowed column said 1,496 of log evidence, what its column's seats left beside it 19,
+    and beside that the growth little; another author's 24032), or with its name elsewhere (two clearances of one load
+    left one of a third joint, by 7)."""
+    mine, other = tried.candidates[f.best], tried.candidates[g.best]
+    alike = f.name[0] == g.name[0] and mine.covariate == other.covariate
+    return g.first < SHADOW * f.first and (alike or (g.name[0] == "nameless" and same_place(mine, other)))
 
 
 def _against_physics(space: Workspace, tried: Tried, f: Found) -> bool:

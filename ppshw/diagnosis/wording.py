@@ -217,7 +217,8 @@ def _per_kelvin(candidate: Candidate, values: Array) -> str:
     unit = f"{'µrad' if candidate.component.startswith('r') else 'µm'} per kelvin"
     along = sum(v for v, column in zip(values, candidate.columns, strict=True) if column.function == "temperature_q")
     if along:
-        return f" by {(values[0] - along) * 1e6:.3g} {unit} at one end of its travel, {(values[0] + along) * 1e6:.3g} at the other"
+        one, other = (f"{v * 1e6:.3g}" for v in (values[0] - along, values[0] + along))
+        return f" by {one} {unit} at one end of its travel, {other} at the other"
     return f" by {values[0] * 1e6:.3g} {unit}"
 
 

@@ -380,6 +380,12 @@ def test_the_age_of_a_load_that_nothing_goes_with_is_warned_of(compensate: list[
     assert json.loads(said.out)["warnings"] == [warning]
 
 
+def test_a_temperature_that_nothing_goes_with_is_warned_of(compensate: list[str | Path]) -> None:
+    said = ppshw(*compensate, "--joints", "0.1 0.2 0.5 0 0 0", "--temperature", "air=30", "--json")
+    assert said.code == 0
+    assert json.loads(said.out)["warnings"] == ["--temperature air: no effect here goes with it, it changes nothing"]
+
+
 def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | Path]) -> None:
     assert "joint 'yaw' at 2 rad is outside" in refused(tmp_path, *compensate, "--joints", "0 0 0.5 2 0 0")
     assert re.search(r"the pose needs joint '\w+' \S+ (m|rad) beyond its limits",
