@@ -37,6 +37,9 @@ class LoadCase:
     com: tuple[float, float, float]
 
 
+EMPTY = LoadCase("empty", 0.0, (0.0, 0.0, 0.0))
+
+
 @dataclass(frozen=True)
 class Step:
     """One block of a script. `where` is file:line."""
@@ -226,7 +229,7 @@ def _loads(top: Section, seed: int) -> dict[str, tuple[LoadCase, ...]]:
             com = section.vector("com", 3, default=(0.0, 0.0, 0.0))
             out[name] = (LoadCase(name, mass, (float(com[0]), float(com[1]), float(com[2]))),)
         section.done()
-    return out or {"empty": (LoadCase("empty", 0.0, (0.0, 0.0, 0.0)),)}
+    return out or {"empty": (EMPTY,)}
 
 
 def _random_loads(section: Section, name: str, rng: np.random.Generator) -> tuple[LoadCase, ...]:

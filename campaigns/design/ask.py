@@ -9,10 +9,11 @@ from typing import Any
 
 from campaigns.design.belief import Belief, learnt, typical
 from campaigns.design.designer import LOAD_CASES, Design, Designer, Progress, Request, loads_for
+from campaigns.design.loads import measured_with
 from campaigns.design.sequential import known_from
 from campaigns.design.write import script_text
 from campaigns.plan import Plan, plan_campaign
-from campaigns.script import Script, load_script
+from campaigns.script import EMPTY, Script, load_script
 from ppshw.calibration import Calibration
 from ppshw.errors import CampaignError
 from ppshw.machine import Machine
@@ -30,7 +31,7 @@ HARDLY = 0.02
 @dataclass(frozen=True)
 class Question:
     """visits, accuracy [m]: one of them, or neither after a recording; loads: a script whose load cases are there to be
-    put on; point: where accuracy counts, default `where_it_counts`."""
+    put on, None: those of the recording, or what is usual; point: where accuracy counts, default `where_it_counts`."""
 
     machine: Machine
     visits: int | None
@@ -71,12 +72,16 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
     else:
         belief = _belief(question, about)
     few = question.load_cases or LOAD_CASES
-    given = question.loads.loads if question.loads else None
+    given = list(question.loads.loads) if question.loads else None
+    if given is None and recording is not None and (found := measured_with(recording, machine)):
+        given = [EMPTY, *found]
     # after a recording any load may be the missing one; before, the most telling few are known beforehand
     work, cases = loads_for(machine, place, given, few if recording is None else None)
     designer = Designer(Request(belief, point, work, cases, few, question.seed, information))
     numbers: dict[str, Any] = {"point": point, "noise_p98_6_mm": 1e3 * designer.floor}
-    lines: list[str] = []
+    low, high = work.mass
+    whose = "as usual" if given is None else f"as in {question.loads.name if question.loads else 'the recording'}"
+    lines = [f"for loads of {low:.0f} to {high:.0f} kg, {whose}"] if high else []
     if recording is not None:
         more = _now(question, designer, numbers, lines)
         if more == 0:

@@ -14,7 +14,7 @@ from campaigns.design.choose import Chooser, Chosen, inside, situation
 from campaigns.design.information import Posterior, Work, quantile, visible, work_of
 from campaigns.design.loads import LoadRange, extremes, matters, range_of, telling_cases, usual_range
 from campaigns.design.order import shortest_rounds
-from campaigns.script import LoadCase
+from campaigns.script import EMPTY, LoadCase
 from ppshw.errors import CampaignError
 from ppshw.machine import Machine
 
@@ -89,7 +89,7 @@ def loads_for(
     few    the most telling ones of them; None: all of them
     """
     if not matters(machine):
-        return LoadRange((0.0, 0.0), (0.0,) * 3, (0.0,) * 3), (LoadCase("empty", 0.0, (0.0, 0.0, 0.0)),)
+        return LoadRange((0.0, 0.0), (0.0,) * 3, (0.0,) * 3), (EMPTY,)
     work = usual_range(machine, point) if given is None else range_of(given)
     offered = extremes(work) if given is None else list(given)
     return work, tuple(telling_cases(machine, work, offered, few or len(offered)))

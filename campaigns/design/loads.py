@@ -10,9 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from campaigns.script import LoadCase
+from campaigns.script import EMPTY, LoadCase
 from ppshw.kinematics import frames, tip_poses
 from ppshw.machine import Machine
+from ppshw.recording import Recording
+from ppshw.statics import gravity_in_sensor
+from ppshw.terms.history import payloads
 from ppshw.transforms import inverse
 
 Array = NDArray[np.float64]
@@ -26,6 +29,7 @@ OVER = 1.02
 # Loads are compared by what they do to the sensor at this many poses, against 5 % of the largest as noise.
 POSES, CASE_NOISE = 40, 0.05
 MOST_CHOICES = 5000  # of load cases that are all tried
+LIGHTEST_KG = 1.0  # what a sensor reads less of is an empty machine
 
 
 @dataclass(frozen=True)
@@ -82,8 +86,7 @@ def extremes(given: LoadRange) -> list[LoadCase]:
     middle, half = (low + high) / 2, (high - low) / 2
     corners = [np.zeros(3), *(np.array(signs) for signs in itertools.product((-1.0, 1.0), repeat=3))]
     places = {tuple(np.round(middle + half * c, 3).tolist()) for c in corners}
-    empty = LoadCase("empty", 0.0, (0.0, 0.0, 0.0))
-    return [empty, *(LoadCase("", heavy, place) for place in sorted(places))] if heavy > 0 else [empty]
+    return [EMPTY, *(LoadCase("", heavy, place) for place in sorted(places))] if heavy > 0 else [EMPTY]
 
 
 def telling_cases(machine: Machine, given: LoadRange, candidates: Sequence[LoadCase], count: int) -> list[LoadCase]:
@@ -131,6 +134,25 @@ def _named(cases: Sequence[LoadCase]) -> list[LoadCase]:
 def _name(case: LoadCase) -> str:
     x, y, z = (f"{100 * c + 0.0:.0f}" for c in case.com)
     return f"{case.mass:g}kg_x{x}_y{y}_z{z}"
+
+
+def measured_with(recording: Recording, machine: Machine) -> list[LoadCase]:
+    """The loads that a recording was made with, under their labels, by what the force sensor read: to a tenth of a
+    kilogram and a millimetre, of rigid payloads that hang still; what no pose shows of a centre is that of the
+    end-effector frame. None where it has no labels, or no wrench."""
+    if not recording.has_wrench:
+        return []
+    tip = inverse(machine.sensor_in_link) @ machine.tip_in_link
+    force, moment = recording.wrench[:, :3], recording.wrench[:, 3:]
+    there = np.concatenate([force, moment - np.cross(tip[:3, 3], force)], axis=1).reshape(-1, 2, 3) @ tip[:3, :3]
+    gravity = gravity_in_sensor(machine, frames(machine, recording.q)) @ tip[:3, :3]
+    found = payloads(there.reshape(-1, 6), recording.load, gravity)
+    out = []
+    for label in dict.fromkeys(recording.load):
+        mass, *first = found[recording.load.index(label)].tolist()
+        if label and mass >= LIGHTEST_KG:
+            out.append(LoadCase(label, round(mass, 1), tuple(np.round(np.array(first) / mass, 3).tolist())))
+    return out
 
 
 def wrench(machine: Machine, q: Array, mass: Array | float, centre: Array) -> Array:

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from campaigns.design.belief import Belief, learnt, typical
 from campaigns.design.blocks import Block, blocks
 from campaigns.design.designer import loads_for
+from campaigns.design.loads import measured_with
 from campaigns.design.write import joints_text, load_text, word
 from campaigns.foresight import approaches, pretended, springs, would_be
 from campaigns.plan import Plan
-from campaigns.script import LoadCase
+from campaigns.script import EMPTY, LoadCase
 from ppshw import __version__
 from ppshw.diagnosis.evidence import Name
 from ppshw.diagnosis.library import Candidate, library
@@ -54,7 +55,7 @@ MOST_VISITS = 30
 @dataclass(frozen=True)
 class Wanted:
     """effects: two names of the contract's table; joint: only there, None: every joint that has both; so_far: a
-    recording, or a plan; visits: at most so many more."""
+    recording, or a plan; visits: at most so many more; loads: what can be put on, None: what so_far has."""
 
     machine: Machine
     effects: tuple[str, str]
@@ -64,6 +65,7 @@ class Wanted:
     seed: int
     name: str
     asked: str
+    loads: tuple[LoadCase, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,6 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
     """The visits made or planned, what is believed, loads that may be put on (empty first), the repeatability [m]."""
     machine, known = wanted.machine, wanted.so_far
     point = machine.point(machine.where_it_counts)
-    empty = LoadCase("empty", 0.0, (0.0, 0.0, 0.0))
     if isinstance(known, Plan):
         recording = would_be(known)
         belief = typical(machine, len(recording), point)
@@ -147,9 +148,10 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
         recording = known.subset(known.measured)
         found = identify(machine, recording)
         belief = learnt(found.model.machine, len(recording), found.groups, found.noise, recording.source)
-        cases = list(loads_for(machine, point, None, None)[1])
+        cases = measured_with(recording, machine) or list(loads_for(machine, point, None, None)[1])
+    cases = list(wanted.loads or cases)
     unit = belief.noise.repeatability
-    return recording, belief, [empty, *(c for c in cases if c.mass > 0)], unit
+    return recording, belief, [EMPTY, *(c for c in cases if c.mass > 0)], unit
 
 
 def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) -> Recording:

@@ -83,7 +83,8 @@ def build_parser() -> argparse.ArgumentParser:
     g.add_argument("--after", metavar="REC", help="go on after this recording: what to measure next, when to stop")
     g.add_argument("--out", metavar="CAMPAIGN.yaml", help="the script to write")
     g.add_argument("--calibration", metavar="CAL.json", help="believe the prior strengths and the noise learnt there")
-    g.add_argument("--loads", metavar="SCRIPT", help="only load cases of this script (default: 20 to 200 kg, or less)")
+    g.add_argument("--loads", metavar="SCRIPT", help="only load cases of this script (default: those of --after or of "
+                   "the campaign; else 20 to 200 kg, or less)")  # fmt: skip
     g.add_argument("--load-cases", type=count, metavar="K", help="how many loads to put on (default: 4)")
     g.add_argument("--point", help="where accuracy counts (default: treatment, else the first point, or the tip)")
     g.add_argument("--seed", type=seed, help="of everything random (default: 1)")

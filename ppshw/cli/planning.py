@@ -119,7 +119,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput(f"--to-separate {a.to_separate}: expected two different effects and a comma between them")
     if (a.campaign is None) == (a.after is None):
         raise BadInput("plan: --to-separate needs what there is so far: a campaign, or --after REC")
-    for given in ("accuracy", "calibration", "loads", "load_cases", "point", "list", "visibility"):
+    for given in ("accuracy", "calibration", "load_cases", "point", "list", "visibility"):
         if getattr(a, given) not in (None, False):
             raise BadInput(f"plan: --{given.replace('_', '-')} has no meaning with --to-separate")
     if a.joint is not None and a.joint not in machine.joint_names:
@@ -133,11 +133,13 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         else load_recording(a.after, machine)
     )
     seed = _SEED if a.seed is None else a.seed
+    loads = None if a.loads is None else load_script(a.loads).loads
     words = f"ppshw plan --to-separate {a.to_separate}" + (f" --joint {a.joint}" if a.joint else "")
+    words += f" --loads {Path(a.loads).name}" if a.loads else ""
     words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {seed}"
     with Bar() as bar:
         found = separate(
-            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, seed, out.stem, words),
+            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, seed, out.stem, words, loads),
             lambda k, n: bar("candidates", k, n),
         )
     visits = sum(len(block.q) for block in found.blocks)

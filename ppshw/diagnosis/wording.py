@@ -82,11 +82,14 @@ def unexplained(left: Mapping[str, Any]) -> str:
 
 def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
     """Of a finding: its effect, another one that it may well be, and the joint where both are (None: at several), as
-    `ppshw plan --to-separate` takes them; None where nothing is left to separate."""
+    `ppshw plan --to-separate` takes them; None where nothing is left to separate: forms that are told apart already, or
+    that no recording tells apart (`as_well`)."""
+    apart = {(k["effect"], k["joint"]): k["sqrt_lambda_apart"] for k in said["aliases"]}
     likely = [k for k in said["alternatives"] if k["weight"] >= WEIGHT_TOLD]
     close = [k for k in said["aliases"] if k["sqrt_lambda_apart"] < TOLD_APART]
     for rival in (*likely, *close):
-        if rival["effect"] not in ("nameless", said["effect"]):
+        left = 0.0 < apart.get((rival["effect"], rival["joint"]), 0.5 * TOLD_APART) < TOLD_APART
+        if left and rival["effect"] not in ("nameless", said["effect"]):
             same = rival["joint"] in (None, said["joint"])
             return said["effect"], rival["effect"], said["joint"] if same else None
     return None

@@ -16,7 +16,7 @@ from campaigns.design.bound import lower_bound
 from campaigns.design.choose import Chooser, inside, situation
 from campaigns.design.designer import Designer, Request, loads_for
 from campaigns.design.information import Pool, Posterior, visible, work_of
-from campaigns.design.loads import extremes, range_of, telling_cases, usual_range, wrench
+from campaigns.design.loads import extremes, measured_with, range_of, telling_cases, usual_range, wrench
 from campaigns.design.order import length, shortest_rounds
 from campaigns.design.sequential import known_from
 from campaigns.plan import Plan, plan_campaign, travel, travel_time
@@ -26,7 +26,7 @@ from ppshw.machine import Machine, load_machine
 from ppshw.recording import load_recording
 from ppshw.terms import Situation
 from simulators.offline import simulate_recording_csv
-from simulators.plant import Plant
+from simulators.plant import Load, Plant
 from tests.unit.small_campaign import SLIDE
 
 ROOT = Path(__file__).parents[2]
@@ -335,6 +335,31 @@ def test_after_a_recording_it_says_how_good_it_is_what_is_missing_and_when_to_st
     assert more.numbers["enough"] is False
     assert 0 < more.numbers["expected_visits"] <= 25
     assert more.numbers["predicted"]["with_noise_p98_6_mm"] <= 1e3 * wanted
+
+
+def test_after_a_recording_the_loads_are_those_that_it_was_made_with(tmp_path: Path) -> None:
+    """Planned for 6 to 83 kg, by a guess from a crane's own mass, after 100 to 400 kg had been measured."""
+    machine = machine_of(tmp_path)
+    plant = Plant.from_file(machine.file, seed=7)
+    table = simulate_recording_csv(plant, tmp_path / "r.csv", 24, np.random.default_rng(1), loads=2, visits_per_load=12)
+    recording = load_recording(table, machine)
+    # the plant's centres are in its sensor's frame, 0.8 m behind the tip
+    loads = {name: Load(mass, np.array(com)) for name, mass, com in (
+        ("box", 310.4, [0.85, -0.1, 0.3]), ("couch", 0.4, [0, 0, 0]), ("beam", 120.0, [0.8, 0, 0]),
+    )}  # fmt: skip
+    labels = ("box",) * 12 + ("couch",) * 4 + ("beam",) * 8
+    felt = [plant.wrench(q, loads[label])[0] for q, label in zip(recording.q, labels, strict=True)]
+    recording = replace(recording, wrench=np.array(felt), load=labels)
+    found = {case.name: (case.mass, case.com) for case in measured_with(recording, machine)}
+    assert found["box"][0] == pytest.approx(310.4, abs=0.05)
+    assert found["beam"] == (pytest.approx(120.0, abs=0.05), pytest.approx((0, 0, 0), abs=1e-3))
+    assert found["box"][1] == pytest.approx((0.05, -0.1, 0.0), abs=1e-3)  # it turns about the vertical alone
+    assert set(found) == {"box", "beam"}
+    asked = ask(machine, tmp_path / "next.yaml", after=recording, visits=20)
+    assert asked.lines[0] == "for loads of 0 to 310 kg, as in the recording"
+    assert asked.plan is not None
+    assert set(asked.plan.loads) <= {"empty", "box", "beam"}
+    assert not measured_with(replace(recording, has_wrench=False), machine)
 
 
 def test_what_a_recording_tells_is_what_its_visits_would_have_told_beforehand(tmp_path: Path) -> None:

@@ -105,6 +105,10 @@ def test_visits_are_asked_for_where_a_finding_may_well_be_another_effect() -> No
 
     assert to_separate(Mistake("Fx", -1.0, "has the opposite sign", 1.0, 0.1).finding()) is None
     assert asked([], [far]) is None
+    likely = of("friction_hysteresis", "yaw", weight=0.3)
+    assert asked([likely], []) == ("backlash", "friction_hysteresis", "yaw")
+    assert asked([likely], [far]) is None  # forms are told apart already: `plan` wrote nothing
+    assert asked([likely], [of("friction_hysteresis", "yaw", alike=1.0, sqrt_lambda_apart=0.0)]) is None  # `as_well`
     assert asked([], [far, near]) == ("backlash", "friction_hysteresis", "yaw")
     assert asked([of("nameless", None, weight=0.3)], []) is None
     assert asked([of("drift", None, weight=0.05)], []) is None
