@@ -220,7 +220,7 @@ def _answer(
     elif scatter is not None and unexplained is None:
         unexplained = scatter_without_a_name(space, scatter)
     if left:
-        unexplained = _unexplained(free, tried, max(left, key=lambda f: f.evidence))
+        unexplained = _unexplained(free, tried, left)
     carried = carry(space, tried, found)
     answer = {
         "visits": int(space.recording.measured.sum()),
@@ -258,8 +258,13 @@ def _noise_floor(space: Workspace) -> float:
     return float(np.sqrt(3 * variance.mean()) * 1e3)
 
 
-def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
+def _unexplained(space: Workspace, tried: Tried, left: list[Found]) -> dict[str, Any]:
+    """Of what has no name the loudest; its size is that of all over its columns together, which may go against each
+    other, beyond what the base model would take of them."""
+    f = max(left, key=lambda f: f.evidence)
     candidate = tried.candidates[f.best]
+    alike = [g for g in left if tried.candidates[g.best].covariates == candidate.covariates]
+    moved = np.sum([moved_by(space, tried.candidates[g.best], g) for g in alike], axis=0)
     said = stand_ins(space.context, candidate)[:2]
     region = {}
     for column, _ in said:
@@ -272,6 +277,6 @@ def _unexplained(space: Workspace, tried: Tried, f: Found) -> dict[str, Any]:
         "frame": candidate.frame,
         "component": candidate.component,
         "region": region,
-        "rms_mm": finding(space, tried, f)["rms_mm"],
+        "rms_mm": 1e3 * space.rms(space.beyond(moved)),
         "p_value": f.p,
     }

@@ -141,9 +141,11 @@ def _smooth_over(column: Column) -> tuple[str, ...]:
 def _placed(
     tried: Tried, found: list[Found], beside: Mask, corrections: list[tuple[_Left, Correction]]
 ) -> list[tuple[Found, Candidate]]:
-    """Every finding with its form, `at` where its columns now are in the workspace; corrections come last."""
+    """Every finding with its form, `at` where its columns now are in the workspace; corrections come last. One may
+    stand for several findings over the same columns."""
     out: list[tuple[Found, Candidate]] = []
-    replaced = {id(left.of) for left, _ in corrections if tried.candidates[left.of.best].effect == "nameless"}
+    forms = [(f, tried.candidates[f.best]) for f in found]
+    replaced = {id(f) for f, k in forms if k.effect == "nameless" and not beside[f.columns(k)].any()}
     for f in found:
         candidate = tried.candidates[f.best]
         start = f.at + len(candidate.columns)

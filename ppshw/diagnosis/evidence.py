@@ -263,6 +263,17 @@ class Tried:
         taken_up = self._middle @ (self._absorbed.T @ self.space.y)
         return np.asarray(self._plain_scores - np.einsum("f,fk->k", taken_up, self._cross))  # in double, without a copy
 
+    def fitted(self, candidate: int) -> Array:
+        """(k,) coefficients of a candidate's columns beside what is taken up, the widest prior held against them."""
+        columns = self.index[candidate]
+        batch, info = next(
+            (batch, info) for batch, info in zip(self._batches, self._info, strict=True)
+            if batch.columns.shape[1] == len(columns)
+        )  # fmt: skip
+        mine = info[int(np.searchsorted(batch.which, candidate))]
+        held = np.eye(len(columns)) * len(columns) / (AMPLITUDES[-1] * self.unit) ** 2
+        return np.asarray(np.linalg.solve(mine + held, self.scores()[columns]) / self.scale[columns])
+
     def by_name(self, evidence: Array) -> Array:
         """Log evidence of every name, its candidates averaged by their shares: (D, C) → (D, names)."""
         weighted = evidence.T[self._sorted]

@@ -26,7 +26,8 @@ class Found:
     size: rms of its form at the reflectors [m], 0 before it was fitted; near: columns of near forms, with `more` of
     what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
     carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up;
-    spread: standard deviations of its nonlinear parameters."""
+    spread: standard deviations of its nonlinear parameters; pulled: what these make of its coefficients, as in
+    `parameters.pulled_along`."""
 
     best: int
     name: Name
@@ -41,6 +42,7 @@ class Found:
     carried: bool = True
     was: int | None = None
     spread: dict[str, float] = field(default_factory=dict)
+    pulled: Array | None = None
 
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""
@@ -91,7 +93,7 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
             laid.append(tried.value(column))
             # what wanders does so with half the amplitude at twice the pace, like a random walk
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
-            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(_rms(space, laid[-1][0]), 1e-30))
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(space.rms(laid[-1][0]), 1e-30))
     raw, white, absorbed = (np.stack(each, axis=-1) for each in zip(*laid, strict=True))
     space.take_up(raw, np.maximum(prior, 1e-30), (white, absorbed))
 
@@ -112,7 +114,7 @@ def coefficients(space: Workspace, candidate: Candidate, found: Found) -> tuple[
     """Coefficients (k,) of the finding's own form, their covariance (k, k), and the rms of all its forms [m]."""
     _, values = space.coefficients()
     main, every = slice(found.at, found.at + len(candidate.columns)), found.columns(candidate)
-    return values[main], np.asarray(space.middle[main, main]), _rms(space, space.taken[:, :, every] @ values[every])
+    return values[main], np.asarray(space.middle[main, main]), space.rms(space.taken[:, :, every] @ values[every])
 
 
 def moved_by(space: Workspace, candidate: Candidate, found: Found) -> Array:
@@ -123,7 +125,7 @@ def moved_by(space: Workspace, candidate: Candidate, found: Found) -> Array:
 
 def size_beyond(space: Workspace, candidate: Candidate, found: Found) -> float:
     """Rms [m] of all forms of a finding beyond what the base model would take of them."""
-    return _rms(space, space.beyond(moved_by(space, candidate, found)))
+    return space.rms(space.beyond(moved_by(space, candidate, found)))
 
 
 def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
@@ -140,7 +142,3 @@ def modelled(space: Workspace, candidate: Candidate, found: Found) -> tuple[tupl
     _, values = space.coefficients()
     here = found.columns(candidate)
     return (*candidate.columns, *found.near), values[here], np.asarray(space.middle[here, here])
-
-
-def _rms(space: Workspace, displacement: Array) -> float:
-    return float(np.sqrt((displacement**2).sum() / max(int(space.recording.seen.sum()), 1)))

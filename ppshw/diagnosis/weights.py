@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from ppshw.diagnosis.evidence import Name, Tried
 from ppshw.diagnosis.found import Found, coefficients, explained, pieces_of, take_up
 from ppshw.diagnosis.kinship import never_turned
-from ppshw.diagnosis.parameters import spread_of
+from ppshw.diagnosis.parameters import pulled_along, spread_of
 from ppshw.diagnosis.workspace import Workspace
 
 # Weights of names are tempered: forms of real machines differ from the library's by a share of what they explain, so
@@ -47,6 +47,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         take_up(space, tried, others)
         every, names = tried.said()
         f.spread = spread_of(tried, f.best, every)
+        f.pulled = pulled_along(tried, f.best, f.spread)
         evidence = names.copy()
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:

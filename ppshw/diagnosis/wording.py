@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
-from ppshw.diagnosis.parameters import courses, numbers_of, rocks
+from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
@@ -36,6 +37,9 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
     candidate = tried.candidates[found.best]
     rms = coefficients(space, candidate, found)[2]
     values, covariance = by_its_own_form(space, candidate, found)
+    if found.pulled is not None:
+        covariance = covariance + found.pulled @ found.pulled.T
+    candidate = _by_its_thermometer(candidate, values)
     weights = found.weights or {found.name: 1.0}
     alternatives = [
         {"effect": effect, "joint": joint, "weight": round(weight, 4)}
@@ -51,7 +55,7 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "frame": candidate.frame,
         "component": candidate.component,
         "covariate": candidate.covariate,
-        "region": _region(space, candidate.covariate),
+        "region": _region(space, _where_it_acts(candidate)),
         "parameters": numbers_of(space.context, candidate, values, covariance, found.spread),
         "p_value": found.p,
         "rms_mm": rms * 1e3,
@@ -60,6 +64,14 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "aliases": [alias.as_dict() for alias in aliases],
         "sentence": sentence(space.context, candidate, values, rms) + alias_words(found.name, aliases),
     }
+
+
+def _by_its_thermometer(candidate: Candidate, values: Array) -> Candidate:
+    """Of growth by two thermometers the one that it follows more is its covariate."""
+    places = [column.args.get("place") for column in candidate.columns]
+    if candidate.effect != "thermal_growth" or len(set(places)) < 2:
+        return candidate
+    return replace(candidate, covariate=f"temp_{places[int(np.argmax(np.abs(values)))]}_C")
 
 
 def how_sure(said: Mapping[str, Any]) -> str:
@@ -160,6 +172,12 @@ def history_of(said: Sequence[tuple[str, str]]) -> str | None:
     return ", ".join(dict.fromkeys(part for _, how in said if how for part in how.split(", "))) or None
 
 
+def _where_it_acts(candidate: Candidate) -> str:
+    """The column whose range is a finding's region: of a load the one on its frame, not the sensor's channel."""
+    of_frame = candidate.frame is not None and candidate.covariate in WRENCH_COMPONENTS
+    return f"on_{candidate.frame}_{candidate.covariate}" if of_frame else candidate.covariate
+
+
 def _region(space: Workspace, covariate: str) -> list[float] | None:
     try:
         values = named_column(space.context, covariate)
@@ -172,6 +190,7 @@ def _region(space: Workspace, covariate: str) -> list[float] | None:
 
 def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str:
     """Values (k,) of a candidate's own columns, and the rms of all it may be like [m]."""
+    values = values * along_its_axis(c.machine, candidate)
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
@@ -188,10 +207,11 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "drift": f"everything moves{_when(candidate)}, {_far(c, candidate, values)}as if the base or the tracker did "
         f"({size}).",
         "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(candidate, values)} ({size}).",
-        "periodic_transmission": f"{joint} is off by a wave of period {candidate.shape.get('period', 0):.5g} along its "
+        "periodic_transmission": f"{joint} is off by a wave of period {_period(c, candidate)} along its "
         f"own travel: a screw, a gear or an encoder ({size}).",
-        "nonlinear_stiffness": f"{joint} does not give way in proportion to {candidate.covariate} ({size}).",
-        "clearance": f"{joint} falls to one side or the other as {candidate.covariate} changes sign: play ({size}).",
+        "nonlinear_stiffness": f"{joint} does not give way in proportion to the {candidate.covariate} on it ({size}).",
+        "clearance": f"{joint} falls to one side or the other as the {candidate.covariate} on it changes sign: "
+        f"play ({size}).",
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well, "
         f"{_high(c, candidate, values, unit)}({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
@@ -206,6 +226,13 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _period(c: Context, candidate: Candidate) -> str:
+    if candidate.effect != "periodic_transmission":
+        return ""
+    unit = c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit
+    return f"{candidate.shape['period']:.5g} {unit}"
 
 
 def _per_kelvin(candidate: Candidate, values: Array) -> str:

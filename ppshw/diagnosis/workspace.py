@@ -189,6 +189,10 @@ class Workspace:
         """(N, 3T) what the base model leaves of a displacement (N, 3T) of every visit [m], fitted to the fit visits."""
         return np.asarray(moved - self.design @ self.mimicked(moved))
 
+    def rms(self, displacement: Array) -> float:
+        """Of a displacement (N, 3T) over all readings [m]."""
+        return float(np.sqrt((displacement**2).sum() / max(int(self.recording.seen.sum()), 1)))
+
     def residual(self) -> Array:
         """(N, 3T) what the fitted model leaves of every visit, held-out ones included [m]; nan where lost."""
         base, extra = self.coefficients()

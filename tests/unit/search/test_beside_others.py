@@ -435,7 +435,7 @@ def test_another_beginning_counts_only_by_what_stands_out_from_noise(
     monkeypatch.setattr(there, "_greedy", greedy)
     monkeypatch.setattr(there, "explained", explained)
     for after in ("take_up", "give_up", "drop_what_riddles_leave", "weigh"):
-        monkeypatch.setattr(there, after, lambda *_: None)
+        monkeypatch.setattr(there, after, lambda *_, **__: None)
     assert search(space, tried, np.random.default_rng(0)) == [other if counts else first]
 
 
