@@ -104,6 +104,30 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     assert f"moves with {any_way.covariate}: its" in sentence(space.context, any_way, np.full(6, 1e-5), 1e-4)
 
 
+@pytest.mark.parametrize(("axis", "times"), [([0, 0, -1.0], -1.0), ([0, 0.6, 0.8], 1.25), ([0, 0, 1.0], 1.0)])
+def test_what_a_joint_does_is_said_along_its_own_axis(space: Workspace, axis: list[float], times: float) -> None:
+    """A gap of 0.200 mm was -0.204 along an axis that points down, and 0.163 along an oblique one."""
+    machine = space.machine
+    k = next(j for j, joint in enumerate(machine.joints) if joint.prismatic and abs(joint.axis[2]) > 0.9)
+    joint = machine.joints[k]
+    turned = replace(machine, joints=tuple(
+        replace(other, axis=np.array(axis)) if j == k else other for j, other in enumerate(machine.joints)
+    ))  # fmt: skip
+    c = replace(space.context, machine=turned)
+    play, friction, jump = (
+        next(x for x in library(space.context) if (x.effect, x.joint) == (effect, joint.name) and x.component == "tz")
+        for effect in ("backlash", "friction_hysteresis", "zero_shift")
+    )
+    for form, name, factor in ((play, "gap", -2.0), (friction, "lag", -1.0), (jump, "step", 1.0)):
+        values, covariance = np.zeros(len(form.columns)), np.eye(len(form.columns)) * 1e-12
+        values[0] = -1e-4
+        said = numbers_of(c, form, values, covariance)[name]
+        assert said["value"] == pytest.approx(factor * times * -1e-4)
+        assert said["std"] == pytest.approx(abs(factor * times) * 1e-6)
+    half_a_gap = np.eye(len(play.columns))[0] * -1e-4
+    assert f"lags behind by {0.2 * abs(times):.3f} mm" in sentence(c, play, half_a_gap, 1e-4)
+
+
 def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
     straight = [k for k in library(space.context) if k.effect == "drift" and k.columns[0].args["form"] == "linear"]
     assert straight

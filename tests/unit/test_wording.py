@@ -9,7 +9,7 @@ from ppshw.diagnosis.columns import Mistake
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.parameters import numbers_of
-from ppshw.diagnosis.wording import column_of, how_sure, sentence, to_separate
+from ppshw.diagnosis.wording import _by_its_thermometer, _where_it_acts, column_of, how_sure, sentence, to_separate
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.progress import folded
@@ -115,3 +115,20 @@ def test_visits_are_asked_for_where_a_finding_may_well_be_another_effect() -> No
     assert asked([drift], [near]) == ("backlash", "drift", "yaw")
     assert asked([of("backlash", "roll", weight=0.4)], []) is None  # no visits are planned for which joint it is
     assert asked([of("creep", "roll", weight=0.4)], []) == ("backlash", "creep", None)
+
+
+def test_growth_by_two_thermometers_is_of_the_one_that_it_follows(context: Context) -> None:
+    both = next(
+        k for k in library(context)
+        if k.effect == "thermal_growth" and len({column.args["place"] for column in k.columns}) == 2
+    )  # fmt: skip
+    places = [column.args["place"] for column in both.columns]
+    for values, place in (([1e-5, 5e-5], places[1]), ([-5e-5, 1e-5], places[0])):
+        assert _by_its_thermometer(both, np.array(values)).covariate == f"temp_{place}_C"
+
+
+def test_the_region_of_a_load_is_of_the_one_that_acts_there(context: Context) -> None:
+    falls = next(k for k in library(context) if k.effect == "clearance")
+    assert _where_it_acts(falls) == f"on_{falls.frame}_{falls.covariate}"
+    sensor = next(k for k in library(context) if k.effect == "wrench_error" and k.covariate == "Mx")
+    assert _where_it_acts(sensor) == "Mx"

@@ -17,7 +17,7 @@ from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.search import _best as best_beside
-from ppshw.diagnosis.search import search
+from ppshw.diagnosis.search import _in_one, _starts, _worth, search
 from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
 from ppshw.diagnosis.weights import as_well, weigh
 from ppshw.diagnosis.wording import finding
@@ -427,7 +427,7 @@ def test_another_beginning_counts_only_by_what_stands_out_from_noise(
         return [first] if start is None else [other, first, first] if rng is None else [other]
 
     def explained(s: Workspace, t: Tried, found: list[Found]) -> float:
-        return 120.0 if len(found) == 3 else 100.0 if found[0] is first else left
+        return 120.0 if len(found) == 3 else 100.0 if found[0].best == first.best else left
 
     there = importlib.import_module("ppshw.diagnosis.search")
     monkeypatch.setattr(there, "_starts", lambda _: [(other.best, 10.0)])
@@ -437,6 +437,50 @@ def test_another_beginning_counts_only_by_what_stands_out_from_noise(
     for after in ("take_up", "give_up", "drop_what_riddles_leave", "weigh"):
         monkeypatch.setattr(there, after, lambda *_, **__: None)
     assert search(space, tried, np.random.default_rng(0)) == [other if counts else first]
+
+
+def test_a_search_begins_at_other_joints_of_the_loudest_effect_too(space: Workspace) -> None:
+    """Growth of two links was that of one between them with 0.95: no search had begun at either."""
+    some = [k for k in named(space, "thermal_growth") if k.component is not None]
+    warm = next(k for k in some if k.joint == "yaw" and len(k.columns) == 1)
+    there = moved_by(space, warm.columns[0], 3.0)
+    tried = Tried(there, some, 5e-5)
+    starts = [tried.name(best) for best, _ in _starts(tried)]
+    assert starts[0][0] == "thermal_growth"
+    assert len({joint for _, joint in starts}) > 1
+
+
+def test_of_two_sets_that_say_as_much_the_one_that_does_so_by_its_bare_forms_is_worth_more(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = named(space, "creep")
+    tried = Tried(space, some, 5e-5)
+    near = (some[0].columns[0],)
+    between, two = Found(0, tried.name(0), 0.0, 10.0, near=near), Found(1, tried.name(1), 0.0, 10.0)
+    there = importlib.import_module("ppshw.diagnosis.search")
+    monkeypatch.setattr(there, "take_up", lambda *_, **__: None)
+    said = {0: 3834.0, 1: 4134.0}
+    monkeypatch.setattr(there, "explained", lambda s, t, found: 4133.0 if found[0].near else said[found[0].best])
+    assert _worth(space, tried, [between], [between]) == pytest.approx(0.5 * (4133.0 + 3834.0))
+    assert _worth(space, tried, [two], [between]) == pytest.approx(4134.0)
+
+
+def test_what_says_more_in_place_of_all_directions_of_an_effect_takes_its_place(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each direction had been compared with it: creep of a joint in two had a weight of 0.00."""
+    some = named(space, "creep")
+    tried = Tried(space, some, 5e-5)
+    at = [j for j, k in enumerate(some) if tried.name(j) == tried.name(0)][:2]
+    other = next(j for j in range(len(some)) if tried.name(j) != tried.name(0))
+    there = importlib.import_module("ppshw.diagnosis.search")
+    monkeypatch.setattr(there, "_best", lambda t: (other, 90.0))
+    for more, taken in ((5.0, True), (2.0, False)):
+        found = [Found(j, tried.name(0), 0.0, 50.0, first=50.0) for j in at]
+        monkeypatch.setattr(there, "explained", lambda s, t, f, more=more: 100.0 + more * (len(f) == 1))
+        _in_one(space, tried, found)
+        assert [f.best for f in found] == ([other] if taken else at)
+    space.forget()
 
 
 def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(space: Workspace) -> None:
