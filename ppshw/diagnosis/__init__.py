@@ -170,7 +170,8 @@ def _look(
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * int(space.fit.sum()) >= len(k.columns)]
     tried = Tried(space, candidates, space.unit, without)
     tell(2)
-    found = search(space, tried, np.random.default_rng(seed))
+    earlier = [(k.effect, k.joint) for k in before if k.effect != "nameless"]
+    found = search(space, tried, np.random.default_rng(seed), earlier)
     tell(4)
     return tried, found
 

@@ -17,7 +17,7 @@ from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.search import _best as best_beside
-from ppshw.diagnosis.search import _in_one, _starts, _worth, search
+from ppshw.diagnosis.search import _in_one, _of_names, _starts, _worth, search
 from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
 from ppshw.diagnosis.weights import as_well, weigh
 from ppshw.diagnosis.wording import finding
@@ -463,6 +463,24 @@ def test_of_two_sets_that_say_as_much_the_one_that_does_so_by_its_bare_forms_is_
     monkeypatch.setattr(there, "explained", lambda s, t, found: 4133.0 if found[0].near else said[found[0].best])
     assert _worth(space, tried, [between], [between]) == pytest.approx(0.5 * (4133.0 + 3834.0))
     assert _worth(space, tried, [two], [between]) == pytest.approx(4134.0)
+
+
+@pytest.mark.parametrize("times", [3.0, 0.02])
+def test_what_an_earlier_look_named_is_one_of_the_answers(space: Workspace, times: float) -> None:
+    """Two links that grew were a tracker's scale with 0.95 in a second look, whose search began with that alone."""
+    some = [k for k in named(space, "thermal_growth") if k.component is not None and len(k.columns) == 1]
+    places = (("yaw", "tx"), ("roll", "ty"))
+    yaw, roll = (next(k for k in some if (k.joint, k.component) == place) for place in places)
+    there = moved_by(moved_by(space, yaw.columns[0], times), roll.columns[0], times)
+    tried = Tried(there, some, 5e-5)
+    asked = [("thermal_growth", "roll"), ("thermal_growth", "yaw"), ("thermal_growth", "roll")]
+    found = _of_names(there, tried, asked, np.random.default_rng(0))
+    if times < 1.0:
+        assert found == []
+        return
+    assert sorted(f.name[1] or "" for f in found) == ["roll", "yaw"]
+    assert all(f.p < 1e-6 and f.first > 10.0 for f in found)
+    assert _of_names(there, tried, [("drift", None)], np.random.default_rng(0)) == []
 
 
 def test_what_says_more_in_place_of_all_directions_of_an_effect_takes_its_place(
