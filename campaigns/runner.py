@@ -319,17 +319,17 @@ class _Run:
         text += "" if mass == load.mass else f", {load.mass:g} kg were asked for"
         self._log(file, "load change", text, note)
         self._load = load.name
-        self._baseline(file, f"after the change to load {load.name}")
-        self._weighed(load.name, mass)
+        self._weighed(load.name, mass, self._baseline(file, f"after the change to load {load.name}"))
 
-    def _weighed(self, load: str, mass: float) -> None:
+    def _weighed(self, load: str, mass: float, felt: Array | None) -> None:
         """Raises RunFailed where the force sensor reads less than half of a load's weight: a load that is not on, or a
         sensor that says other units than newtons, costs a campaign. What else it bears nobody knows, so more may be
         right."""
         weight = mass * float(np.linalg.norm(self._plan.machine.gravity))
         if self._bench.force_sensor is None or weight < LEAST_WEIGHED_N:
             return
-        read = float(np.linalg.norm(self._bench.force_sensor.read().wrench[:3]))
+        felt = self._bench.force_sensor.read().wrench if felt is None else felt
+        read = float(np.linalg.norm(felt[:3]))
         if read < LEAST_OF_A_LOAD * weight:
             raise RunFailed(
                 f"load '{load}' of {mass:g} kg weighs {weight:.0f} N, but {self._bench.force_sensor.name} reads "
