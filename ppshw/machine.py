@@ -23,6 +23,8 @@ from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
 BentBy = Literal["own", "beyond", "payload"]
+# A maker's repeatability is taken as the 98.6 % radius of a round normal scatter in three directions: 3.27 sigma.
+RADIUS_986 = 3.27
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 MOST_TURNS = 3.0  # of a joint before its limits look like degrees

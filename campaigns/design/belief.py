@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ppshw.errors import CampaignError
 from ppshw.identification.noise import Noise
 from ppshw.identification.structure import joint_model
-from ppshw.machine import Machine
+from ppshw.machine import RADIUS_986, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
 from ppshw.terms import Parameter, Situation
@@ -35,8 +35,6 @@ COMPLIANCE = {
 BLOCK = 256
 # Where the instrument stands is known to metres only when the machine file says `base: estimate`.
 FREE_BASE = 1e3
-# A maker's repeatability is taken as the 98.6 % radius of a round normal scatter in three directions: 3.27 sigma.
-RADIUS_986 = 3.27
 CLAIMED = 1.4e-4  # where the machine file says nothing: the paper's [m]
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import yaml
 
 from ppshw.calibration import load_calibration
 from ppshw.cli import main
+from ppshw.cli.diagnosing import noisier_than_stated
 from ppshw.machine import load_machine
 from simulators.concealed.case import make_case
 
@@ -153,3 +155,15 @@ def test_too_few_visits_are_refused_with_their_number(
     assert main(["diagnose", *where, "--json", str(tmp_path / "answer.json")]) == 2
     assert "visits with a target: 39, expected 40 or more" in capsys.readouterr().err
     assert not (tmp_path / "answer.json").exists()
+
+
+def test_noise_that_no_such_machine_has_is_warned_of(case: Case, tmp_path: Path) -> None:
+    """Loads that no wrench told of were 1.7 mm of noise, and the recording consistent without a word."""
+    machine = load_machine(written(case, tmp_path)[2])
+    assert machine.repeatability is not None
+    stated = 1e3 * machine.repeatability * math.sqrt(3.0) / 3.27
+    assert noisier_than_stated(machine, 4.1 * stated) is None
+    said = noisier_than_stated(machine, 35.2 * stated)
+    assert said is not None
+    assert "is 35 times that of the file's repeatability" in said
+    assert noisier_than_stated(replace(machine, repeatability=None), 35.0 * stated) is None
