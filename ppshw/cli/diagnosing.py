@@ -25,13 +25,9 @@ from ppshw.cli.answers import (
 )
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
-from ppshw.machine import RADIUS_986
 from ppshw.progress import Bar, folded
 from ppshw.quantities import called
 from ppshw.whole_file import written_whole
-
-# Noise at the reflectors of 110 recordings with all their columns was 0.9 to 4.1 times the stated repeatability's rms.
-NOISIER = 6.0
 
 
 def report(a: argparse.Namespace) -> None:
@@ -52,6 +48,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.search import MOST_FINDINGS
     from ppshw.diagnosis.wording import how_sure, unexplained
     from ppshw.identification.own_weight import NOT_BENT
+    from ppshw.identification.plausible import noisier_than_stated
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -73,7 +70,7 @@ def diagnose(a: argparse.Namespace) -> None:
     if len({(candidate.effect, candidate.joint) for _, candidate in found.found}) >= MOST_FINDINGS:
         warnings.append(f"the search ended at {MOST_FINDINGS} effects: there may be more")
         warn(a.rec, warnings[-1:])
-    if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"]):
+    if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"], "noise"):
         warnings.append(doubt)
         warn(a.rec, warnings[-1:])
     answer = {**found.answer, "warnings": warnings}
@@ -108,20 +105,6 @@ def diagnose(a: argparse.Namespace) -> None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
     lines += [f"page {a.page}"] if a.page else []
     put("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
-
-
-def noisier_than_stated(machine: Any, noise_mm: float) -> str | None:
-    """That noise is many times what the machine file's repeatability comes to, if it is: loads that no wrench tells of
-    were 1.7 mm of it, and the recording consistent."""
-    if not machine.repeatability:
-        return None
-    stated = 1e3 * machine.repeatability * 3**0.5 / RADIUS_986
-    if noise_mm < NOISIER * stated:
-        return None
-    return (
-        f"noise of {noise_mm:.3g} mm rms is {noise_mm / stated:.0f} times that of the file's repeatability: what looks "
-        "like noise may be something that no column here tells of"
-    )
 
 
 def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:

@@ -38,6 +38,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
     from ppshw.identification.own_weight import NOT_BENT
+    from ppshw.identification.plausible import noisier_than_stated
     from ppshw.recording import listed, load_recording
 
     machine = machine_of(a)
@@ -62,6 +63,8 @@ def identify(a: argparse.Namespace) -> None:
             )
     looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
     warnings += as_they_stand(looked(machine, believed)[1])
+    if doubt := noisier_than_stated(machine, fit["rms_mm"], "a residual"):
+        warnings.append(doubt)
     calibration.save(out)
     warn(a.rec, warnings)
     set_aside = np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))

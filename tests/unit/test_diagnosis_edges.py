@@ -17,7 +17,7 @@ import yaml
 
 from ppshw.calibration import load_calibration
 from ppshw.cli import main
-from ppshw.cli.diagnosing import noisier_than_stated
+from ppshw.identification.plausible import noisier_than_stated
 from ppshw.machine import load_machine
 from simulators.concealed.case import make_case
 
@@ -162,8 +162,6 @@ def test_noise_that_no_such_machine_has_is_warned_of(case: Case, tmp_path: Path)
     machine = load_machine(written(case, tmp_path)[2])
     assert machine.repeatability is not None
     stated = 1e3 * machine.repeatability * math.sqrt(3.0) / 3.27
-    assert noisier_than_stated(machine, 4.1 * stated) is None
-    said = noisier_than_stated(machine, 35.2 * stated)
-    assert said is not None
-    assert "is 35 times that of the file's repeatability" in said
-    assert noisier_than_stated(replace(machine, repeatability=None), 35.0 * stated) is None
+    assert noisier_than_stated(machine, 4.1 * stated, "noise") == ""
+    assert "is 35 times that of the file's repeatability" in noisier_than_stated(machine, 35.2 * stated, "noise")
+    assert noisier_than_stated(replace(machine, repeatability=None), 35.0 * stated, "noise") == ""

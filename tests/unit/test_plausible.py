@@ -147,3 +147,14 @@ def test_directions_of_approach_against_every_way_are_said(measured: tuple[Machi
     assert said[0].startswith(f"approach_{machine.joint_names[1]} is against the way that")
     approach[: len(approach) // 2, 1] *= -1  # half of the visits: it may have gone past where it came to
     assert doubts(machine, replace(recording, approach=approach)) == []
+
+
+def test_loads_of_less_than_two_kilograms_are_asked_about(measured: tuple[Machine, Recording]) -> None:
+    """All six columns in kilonewtons and kilonewton metres were creep of a joint with 0.95."""
+    machine, recording = measured
+    labels = tuple("box" if k % 2 else "couch" for k in range(len(recording)))
+    said = doubts(machine, replace(recording, wrench=recording.wrench / 1000.0, load=labels))
+    assert any("are Fx … Mz kilonewtons" in line for line in said)
+    for other in (replace(recording, load=labels), replace(recording, wrench=0.0 * recording.wrench, load=labels),
+                  replace(recording, wrench=recording.wrench / 1000.0, load=("box",) * len(recording))):  # fmt: skip
+        assert not any("kilonewtons" in line for line in doubts(machine, other))
