@@ -138,8 +138,9 @@ def _name(case: LoadCase) -> str:
 
 def measured_with(recording: Recording, machine: Machine) -> list[LoadCase]:
     """The loads that a recording was made with, under their labels, by what the force sensor read: to a tenth of a
-    kilogram and a millimetre, of rigid payloads that hang still; what no pose shows of a centre is that of the
-    end-effector frame. None where it has no labels, or no wrench."""
+    kilogram and a millimetre, of rigid payloads that hang still, beside what it read under the label of the empty
+    machine; what no pose shows of a centre is that of the end-effector frame. None where it has no labels, or no
+    wrench."""
     if not recording.has_wrench:
         return []
     tip = inverse(machine.sensor_in_link) @ machine.tip_in_link
@@ -147,9 +148,10 @@ def measured_with(recording: Recording, machine: Machine) -> list[LoadCase]:
     there = np.concatenate([force, moment - np.cross(tip[:3, 3], force)], axis=1).reshape(-1, 2, 3) @ tip[:3, :3]
     gravity = gravity_in_sensor(machine, frames(machine, recording.q)) @ tip[:3, :3]
     found = payloads(there.reshape(-1, 6), recording.load, gravity)
-    out = []
-    for label in dict.fromkeys(recording.load):
-        mass, *first = found[recording.load.index(label)].tolist()
+    of = {label: found[recording.load.index(label)] for label in dict.fromkeys(recording.load)}
+    for_good, out = of.pop(EMPTY.name, np.zeros(4)), []
+    for label, held in of.items():
+        mass, *first = (held - for_good).tolist()
         if label and mass >= LIGHTEST_KG:
             out.append(LoadCase(label, round(mass, 1), tuple(np.round(np.array(first) / mass, 3).tolist())))
     return out

@@ -126,7 +126,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput(f"--joint {a.joint}: no such joint (there are: {', '.join(machine.joint_names)})")
     if a.out is None:
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
-    out = new_file(a.out, machine.file, a.after or a.campaign)
+    out = new_file(a.out, machine.file, *(x for x in (a.after, a.campaign, a.loads) if x))
     so_far: Any = (
         plan_campaign(load_script(a.campaign), machine)
         if a.after is None

@@ -18,7 +18,7 @@ MOST_TURNED = 2 * np.pi  # an angle of a pose [rad], before it looks like degree
 def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
     """What is known of the move beyond its end and its load: effects that a diagnosis found may depend on it."""
     from ppshw.compensation import Circumstances
-    from ppshw.recording import COLDEST, WARMEST, Around
+    from ppshw.recording import Around
 
     machine = calibration.machine
     approach = np.zeros(machine.n, dtype=np.int64)
@@ -30,12 +30,20 @@ def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
     for q, joint, low, high in zip(() if start is None else start, machine.joints, *machine.limits(), strict=False):
         if not low <= q <= high:
             raise BadInput(f"--from {joint.name}: {q:g} {joint.unit} is outside its limits {low:g} … {high:g}")
+    around = Around(temperatures=_temperatures(a, calibration))
+    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for)
+
+
+def _temperatures(a: argparse.Namespace, calibration: Any) -> dict[str, float]:
+    """Places and what --temperature says of them [°C]."""
+    from ppshw.recording import COLDEST, WARMEST
+
     thermometers = list(calibration.temperature_range)
-    temperatures = pairs(a.temperature, thermometers, "--temperature", "thermometer of the calibration")
-    for place, degrees in temperatures.items():
+    found = pairs(a.temperature, thermometers, "--temperature", "thermometer of the calibration")
+    for place, degrees in found.items():
         if not COLDEST <= degrees <= WARMEST:
             raise BadInput(f"--temperature {place}: {degrees:g} °C, expected {COLDEST:g} … {WARMEST:g} °C")
-    return Circumstances(start, approach, around=Around(temperatures=temperatures), loaded_for=a.loaded_for)
+    return found
 
 
 def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
@@ -49,7 +57,7 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
     felt = {place for effect in calibration.effects for place in effect.places}
-    for place in sorted({said.split("=")[0] for said in a.temperature or ()} - felt):
+    for place in sorted(_temperatures(a, calibration).keys() - felt):
         warnings.append(f"--temperature {place}: no effect here goes with it, it changes nothing")
     return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
 

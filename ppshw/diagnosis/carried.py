@@ -146,8 +146,7 @@ def _placed(
     out: list[tuple[Found, Candidate]] = []
     forms = [(f, tried.candidates[f.best]) for f in found]
     replaced = {id(f) for f, k in forms if k.effect == "nameless" and not beside[f.columns(k)].any()}
-    for f in found:
-        candidate = tried.candidates[f.best]
+    for f, candidate in forms:
         start = f.at + len(candidate.columns)
         f.near = tuple(c for k, c in enumerate(f.near, start) if beside[k])
         f.at = int(beside[: f.at].sum())

@@ -42,7 +42,7 @@ class Found:
     carried: bool = True
     was: int | None = None
     spread: dict[str, float] = field(default_factory=dict)
-    pulled: Array | None = None
+    pulled: Array | None = field(default=None, compare=False)
 
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
-from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.diagnosis.library.sampled import own_component
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.time_and_heat import clock
@@ -37,7 +38,7 @@ def numbers_of(
     spread  standard deviations of the nonlinear parameters, as in `spread_of`
     """
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    along = along_its_axis(c.machine, candidate)
+    along = along_its_axis(c, candidate)
     values, std = values * along, std * np.abs(along)
     if candidate.effect == "drift":
         out = _drift(c, candidate, values, covariance)
@@ -51,22 +52,20 @@ def numbers_of(
     else:
         out = _one_by_one(candidate, values, std)
     for name, value in candidate.shape.items():
-        unit = _shape_unit(c, name, candidate)
+        unit = shape_unit(c, name, candidate)
         out[name] = _entry(value, (spread or {}).get(name), unit)
     return out
 
 
-def along_its_axis(machine: Machine, candidate: Candidate) -> Array:
+def along_its_axis(c: Context, candidate: Candidate) -> Array:
     """(k,) by what a candidate's coefficients are multiplied to be along its joint's own axis, or about it: that may
     point the other way than the frame's nearest to it, or between two."""
     out = np.ones(len(candidate.columns))
     if candidate.effect not in OF_THE_JOINT or candidate.joint is None:
         return out
-    joint = machine.joints[machine.joint_names.index(candidate.joint)]
-    own = int(np.argmax(np.abs(joint.axis)))
-    for k, column in enumerate(candidate.columns):
-        if column.component == own + (0 if joint.prismatic else 3):
-            out[k] = 1.0 / joint.axis[own]
+    joint = c.machine.joint_names.index(candidate.joint)
+    own = own_component(c, joint)
+    out[[column.component == own for column in candidate.columns]] = 1.0 / c.machine.joints[joint].axis[own % 3]
     return out
 
 
@@ -95,12 +94,7 @@ def spread_of(tried: Tried, best: int, evidence: Array) -> dict[str, float]:
     mine = tried.candidates[best]
     if not mine.shape:
         return {}
-    namesakes = np.flatnonzero(tried.name_of == tried.name_of[best])
-    kin = np.array([
-        j for j in namesakes
-        if _differs_in_shape_alone(mine, tried.candidates[j])
-        and of_one_wave(mine.shape.get("period"), tried.candidates[j].shape.get("period"))
-    ])  # fmt: skip
+    kin = _kin(tried, best)
     said = evidence[kin] + tried.log_share[kin]
     weights = np.exp(said - said.max())
     weights /= weights.sum()
@@ -122,10 +116,10 @@ def pulled_along(tried: Tried, best: int, spread: Mapping[str, float]) -> Array:
 
     tried  with the others taken up;  spread  as in `spread_of`
     """
-    mine, own = tried.candidates[best], tried.fitted(best)
-    family = [(j, k) for j, k in enumerate(tried.candidates) if k.effect == mine.effect and k.joint == mine.joint
-              and _differs_in_shape_alone(mine, k)]  # fmt: skip
-    out = []
+    mine = tried.candidates[best]
+    if not spread:
+        return np.zeros((len(mine.columns), 0))
+    own, family, out = tried.fitted(best), [(j, tried.candidates[j]) for j in _kin(tried, best)], []
     for name, std in spread.items():
         along = [
             (abs(k.shape[name] - mine.shape[name]), j) for j, k in family
@@ -135,6 +129,16 @@ def pulled_along(tried: Tried, best: int, spread: Mapping[str, float]) -> Array:
             step, nearest = min(steps)
             out.append((tried.fitted(nearest) - own) * std / step)
     return np.array(out).reshape(-1, len(own)).T
+
+
+def _kin(tried: Tried, best: int) -> NDArray[np.int64]:
+    """A candidate and those of its name that differ from it in nonlinear parameters alone, of one wave."""
+    mine, namesakes = tried.candidates[best], np.flatnonzero(tried.name_of == tried.name_of[best])
+    return np.array([
+        j for j in namesakes
+        if _differs_in_shape_alone(mine, tried.candidates[j])
+        and of_one_wave(mine.shape.get("period"), tried.candidates[j].shape.get("period"))
+    ])  # fmt: skip
 
 
 def _differs_in_shape_alone(mine: Candidate, other: Candidate) -> bool:
@@ -328,11 +332,11 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
     return names, units
 
 
-def _shape_unit(c: Context, name: str, candidate: Candidate) -> str:
+def shape_unit(c: Context, name: str, candidate: Candidate) -> str:
     if name.endswith(("load_width", "knee_load")):
         return _load_unit(candidate.covariate)
     if name in ("width", "past", "period"):  # of the joint's own way, whichever component errs
-        return "m" if c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].prismatic else "rad"
+        return c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit
     return "h" if name.endswith("_h") else "1"
 
 

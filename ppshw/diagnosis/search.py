@@ -47,9 +47,7 @@ FREE = 6  # columns of a form that may stand for two effects: a base that wander
 ROUNDS = 3  # of putting names to the question again
 
 
-def search(
-    space: Workspace, tried: Tried, rng: np.random.Generator, earlier: Collection[Name] = ()
-) -> list[Found]:  # fmt: skip
+def search(space: Workspace, tried: Tried, rng: np.random.Generator, earlier: Collection[Name] = ()) -> list[Found]:
     """Findings in the order of their strength; the workspace has their columns taken up at its end.
 
     Where several effects act, what explains most at first may be a compromise between them. So when one finding was not
@@ -113,9 +111,7 @@ def _in_one(space: Workspace, tried: Tried, found: list[Found]) -> None:
         take_up(space, tried, found)
 
 
-def _of_names(
-    space: Workspace, tried: Tried, names: Collection[Name], rng: np.random.Generator
-) -> list[Found]:  # fmt: skip
+def _of_names(space: Workspace, tried: Tried, names: Collection[Name], rng: np.random.Generator) -> list[Found]:
     """Findings of exactly these names, each by its best candidate beside the others; none where one says too little."""
     found: list[Found] = []
     for _ in range(2):

@@ -15,7 +15,7 @@ from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
-from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks
+from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
@@ -100,8 +100,8 @@ def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
     likely = [k for k in said["alternatives"] if k["weight"] >= WEIGHT_TOLD]
     close = [k for k in said["aliases"] if k["sqrt_lambda_apart"] < TOLD_APART]
     for rival in (*likely, *close):
-        left = 0.0 < apart.get((rival["effect"], rival["joint"]), 0.5 * TOLD_APART) < TOLD_APART
-        if left and rival["effect"] not in ("nameless", said["effect"]):
+        far = apart.get((rival["effect"], rival["joint"]))
+        if (far is None or 0.0 < far < TOLD_APART) and rival["effect"] not in ("nameless", said["effect"]):
             same = rival["joint"] in (None, said["joint"])
             return said["effect"], rival["effect"], said["joint"] if same else None
     return None
@@ -190,7 +190,7 @@ def _region(space: Workspace, covariate: str) -> list[float] | None:
 
 def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str:
     """Values (k,) of a candidate's own columns, and the rms of all it may be like [m]."""
-    values = values * along_its_axis(c.machine, candidate)
+    values = values * along_its_axis(c, candidate)
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
@@ -231,8 +231,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
 def _period(c: Context, candidate: Candidate) -> str:
     if candidate.effect != "periodic_transmission":
         return ""
-    unit = c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit
-    return f"{candidate.shape['period']:.5g} {unit}"
+    return f"{candidate.shape['period']:.5g} {shape_unit(c, 'period', candidate)}"
 
 
 def _per_kelvin(candidate: Candidate, values: Array) -> str:

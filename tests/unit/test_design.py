@@ -360,6 +360,11 @@ def test_after_a_recording_the_loads_are_those_that_it_was_made_with(tmp_path: P
     assert asked.plan is not None
     assert set(asked.plan.loads) <= {"empty", "box", "beam"}
     assert not measured_with(replace(recording, has_wrench=False), machine)
+    # what is fitted for good is felt with the machine empty, and is no load that anybody puts on
+    good = replace(recording, load=tuple("empty" if label == "beam" else label for label in labels))
+    (box,) = measured_with(good, machine)
+    assert (box.name, box.mass) == ("box", pytest.approx(310.4 - 120.0, abs=0.1))
+    assert box.com[0] * box.mass == pytest.approx(310.4 * 0.05, abs=0.2)
 
 
 def test_what_a_recording_tells_is_what_its_visits_would_have_told_beforehand(tmp_path: Path) -> None:
