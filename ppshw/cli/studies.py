@@ -26,7 +26,7 @@ def prove(a: argparse.Namespace) -> None:
 def study(a: argparse.Namespace) -> None:
     from ppshw.studies.catalogue import STUDIES
     from ppshw.studies.engine import Cluster
-    from ppshw.studies.study import run_study, table
+    from ppshw.studies.study import aligned, run_study
 
     with Bar() as bar:
         answer = run_study(
@@ -34,4 +34,4 @@ def study(a: argparse.Namespace) -> None:
             lambda done, total: bar(a.study, done, total),
         )  # fmt: skip
     lost = [f"lost: {key}: {why}" for key, why in answer["lost"].items()]
-    say(a, answer, "\n".join([table(answer["rows"]), *lost, f"page {Path(a.out) / a.study}.md"]))
+    say(a, answer, "\n".join([aligned(answer["rows"]), *lost, f"page {Path(a.out) / a.study}.md"]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,6 +99,24 @@ def table(rows: Rows) -> str:
     lines = [list(rows[0]), ["---"] * len(rows[0])]
     lines += [[_cell(value) for value in row.values()] for row in rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def aligned(rows: Rows, width: int = 80) -> str:
+    """For a terminal: columns side by side, headers over as many lines as they need. What is the same in every row is
+    said once, below."""
+    alike = [key for key in rows[0] if len(rows) > 1 and len({_cell(row[key]) for row in rows}) == 1]
+    keys = [key for key in rows[0] if key not in alike]
+    cells = {key: [_cell(row[key]) for row in rows] for key in keys}
+    wide = {key: max(map(len, (*cells[key], *key.split()))) for key in keys}
+    words = {key: textwrap.wrap(key, wide[key]) for key in keys}
+    left = {key for key in keys if any(isinstance(row[key], str) for row in rows)}
+    gap = "  " if sum(wide.values()) + 2 * (len(keys) - 1) <= width else " "
+    height = max(map(len, words.values()), default=0)
+    heads = {key: [""] * (height - len(words[key])) + words[key] for key in keys}
+    columns = [[f"{text:{'<' if key in left else '>'}{wide[key]}}" for text in heads[key] + cells[key]] for key in keys]
+    lines = map(gap.join, zip(*columns, strict=True))
+    said = "in every row: " + ", ".join(f"{key} {_cell(rows[0][key])}" for key in alike)
+    return "\n".join([*(line.rstrip() for line in lines), *(textwrap.wrap(said, width) if alike else [])])
 
 
 def _cell(value: Any) -> str:

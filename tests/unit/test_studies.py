@@ -20,11 +20,19 @@ from ppshw.studies.directions import STUDY as DIRECTIONS
 from ppshw.studies.engine import Cluster
 from ppshw.studies.residuals import STUDY as RESIDUALS
 from ppshw.studies.simulated import ensemble, machine_file, make_trial, paper_campaign
-from ppshw.studies.study import Study, run_study
+from ppshw.studies.study import Study, aligned, run_study
 from ppshw.terms import Situation
 from simulators.plant import Plant
 
 HERE = Cluster(workers=0)
+# The widest rows of a study: two plans, two estimates, a cell of nothing.
+WIDE: list[dict[str, Any]] = [
+    {
+        "plan": plan, "visits": 669, "estimate": estimate, "98.6 %": x, "least": x - 0.1, "most": x + 0.1, "rms": x / 2,
+        "× bound": more, "model rms": x / 4, "model × bound": more, "noise": 0.162, "machines": 20,
+    }
+    for plan, estimate, x, more in [("designed", "paper's method", 0.574, 1.168), ("paper", "bound", 0.404, None)]
+]  # fmt: skip
 
 
 def run(study: Study, out: Path) -> dict[str, Any]:
@@ -86,6 +94,16 @@ def test_the_same_study_again_reads_what_it_did(tmp_path: Path) -> None:
     journal = (tmp_path / "directions.jsonl").read_bytes()
     assert run(DIRECTIONS, tmp_path) == first
     assert (tmp_path / "directions.jsonl").read_bytes() == journal
+
+
+def test_a_terminal_has_every_cell_within_80_columns() -> None:
+    *heads, first, second, alike = aligned(WIDE).splitlines()
+    assert max(map(len, (*heads, first, second, alike))) <= 80
+    assert " ".join(first.split()) == "designed paper's method 0.574 0.474 0.674 0.287 1.168 0.143 1.168"
+    assert " ".join(second.split()) == "paper bound 0.404 0.304 0.504 0.202 0.101"
+    assert second.index("0.101") == first.index("0.143")
+    assert alike == "in every row: visits 669, noise 0.162, machines 20"
+    assert sorted(" ".join(heads).split()) == sorted(" ".join(key for key in WIDE[0] if key not in alike).split())
 
 
 def test_every_study_has_its_command() -> None:
