@@ -23,7 +23,8 @@ from campaigns import run_notes
 from campaigns.bench import Bench
 from campaigns.operator import Command, Operator
 from campaigns.plan import Plan, Visit, check_setpoints
-from drivers.ports import Shot, not_stopped
+from campaigns.steadiness import Steadiness
+from drivers.ports import Shot, WrenchReading, not_stopped
 from ppshw.errors import (
     BeamLost,
     CampaignError,
@@ -47,6 +48,8 @@ SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives w
 # A load of less is not weighed; of one that is, the force sensor reads at least such a share (newtons read as pounds
 # are 0.22, as kilograms 0.10, as kilonewtons 0.001). Ours.
 LEAST_WEIGHED_N, LEAST_OF_A_LOAD = 50.0, 0.5
+# A load that sways while it is weighed is weighed again, so often, after so long each time. Ours.
+WEIGHED_AGAIN, AGAIN_AFTER_S = 5, 2.0
 SUSPENDED_FOR_S = 60.0  # how long between two looks at a thermometer that is outside its window
 
 
@@ -112,6 +115,7 @@ class _Run:
         self._load: str | None = None
         self._put_on = math.nan  # when it was put on [s] since 1970
         self._lay_before: Array | None = None  # wrench before that
+        self._steadiness = Steadiness()
         self._noticed: str | None = None  # when trouble was noticed, where it is raised later
         self._measured = 0
         self._lost = 0
@@ -252,7 +256,7 @@ class _Run:
         settled_s, time = bench.clock.now() - report.ended_at, self._now()
         q = bench.axes.positions()
         shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
-        reading = None if bench.force_sensor is None else bench.force_sensor.read()
+        reading = self._felt(file, visit, q)
         temperatures = bench.temperatures()
         bench.axes.require_at_rest(q)  # an axis that fell over during the measurement, or was pushed, spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
@@ -268,6 +272,22 @@ class _Run:
         if reading is not None:
             raw.append(("wrench", run_notes.raw_wrench(reading)))
         file.append(cells, plan_index=visit.index, shots=raw, again=visit.index in file.done())
+
+    def _felt(self, file: RecordingFile, visit: Visit, at: Mapping[str, float]) -> WrenchReading | None:
+        """The load, when it hangs still; where it goes on swaying, as it is, and the operator is told."""
+        if self._bench.force_sensor is None:
+            return None
+        reading = self._bench.force_sensor.read()
+        sway, looks = self._steadiness.sway(reading), 0
+        while sway is not None and looks < WEIGHED_AGAIN:
+            self._wait(AGAIN_AFTER_S, at)
+            reading, looks = self._bench.force_sensor.read(), looks + 1
+            sway = self._steadiness.sway(reading)
+        if sway is not None:
+            text = f"visit {visit.index + 1}: the load sways while it is weighed: {sway}"
+            self._log(file, "sway", text, {"visit": visit.index, **run_notes.raw_wrench(reading)})
+            self._operator.tell(f"{text}. Let it hang still, and have the visit measured again.")
+        return reading
 
     def _corrected(self, visit: Visit, wanted: Array) -> Array:
         if self._map is None:

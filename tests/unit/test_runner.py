@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from campaigns.bench import Bench, nominal_aim
 from campaigns.operator import Answer, AutomaticOperator, Command, ConsoleOperator
 from campaigns.plan import Plan, plan_campaign
-from campaigns.runner import Progress, run_campaign
+from campaigns.runner import AGAIN_AFTER_S, Progress, run_campaign
 from campaigns.script import LoadCase, load_script
 from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WallClock, WrenchReading
 from ppshw.errors import (
@@ -161,6 +161,7 @@ class FakeSensor:
     def __init__(self) -> None:
         self.wrench = np.zeros(6)
         self.closed = False
+        self.reads, self.sways = 0, range(0)  # at which of its readings Fz sways
 
     def check(self) -> DeviceInfo:
         return DeviceInfo("force sensor", "fake", "1", "1", "ready")
@@ -169,7 +170,10 @@ class FakeSensor:
         pass
 
     def read(self) -> WrenchReading:
-        return WrenchReading(self.wrench.copy(), np.full(6, 0.1), 32, 30.0)
+        spread = np.full(6, 0.1)
+        spread[2] = 7.2 if self.reads in self.sways else 0.1
+        self.reads += 1
+        return WrenchReading(self.wrench.copy(), spread, 32, 30.0)
 
     def close(self) -> None:
         self.closed = True
@@ -668,6 +672,26 @@ def test_a_load_that_hardly_weighs_anything_stops_the_run_before_the_machine_mov
     assert len(situation.axes.moves) == 3
     situation.run(Scripted(situation))
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(("long", "said"), [(5, 0), (6, 1), (12, 2)])
+def test_a_load_that_sways_is_weighed_again_and_one_that_goes_on_is_said(
+    situation: Situation, long: int, said: int
+) -> None:
+    before = 1 + 2 + 2 + 3 + 1  # for a place of its temperature, two loads before and after, three visits, one visit
+    operator = Scripted(situation)
+    situation.sensor.sways = range(before, before + long)
+    situation.run(operator)
+    told = [text for text in operator.told if "sways" in text]
+    assert told == [
+        f"visit {k}: the load sways while it is weighed: Fz by 7.2 N, usually 0.1 N. Let it hang still, and have the "
+        "visit measured again."
+        for k in range(5, 5 + said)
+    ]
+    assert len(situation.events("sway")) == said
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    time = load_recording(situation.out, situation.machine).time
+    assert time[5] - time[4] - (time[4] - time[3]) == pytest.approx(5 * AGAIN_AFTER_S, abs=0.1)
 
 
 def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:
