@@ -26,6 +26,7 @@ from ppshw.diagnosis.visibility import visibility
 from ppshw.diagnosis.wording import finding, history_of, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import RecordingError
+from ppshw.free_memory import give_back
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.own_weight import fitted
 from ppshw.identification.plausible import misread
@@ -90,18 +91,22 @@ def diagnose(
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
         before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
-        space = _learnt_without(machine, space, tried, found, gross, calming)
+        clean = _without(space, tried, found)
         del tried  # its columns are most of the memory: the next look lays its own
+        space = _learnt_without(machine, space, clean, gross, calming)
         tried, found = _look(space, without, seed, before, lost, lambda k: tell(6 + k, 10))
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     riddle = any(f.name[0] == "nameless" for f in found)
     unnamed = "unsettled" in without
     scatter = None if riddle else scatter_of(space, seed, True, unnamed, bool(found or gross.visits))
+    give_back()
     # what acts through compliances is of its right size beside free ones, and predicts best beside those expected
     free = space.as_learnt(but_elastic=True) if any(f.name[0] in LOADS for f in found) else None
     space = space.as_learnt()
     wrong = [m.finding() for m in mistakes] + gross.findings(rows, odd)
     answer, carried = _answer(space, free or space, tried, found, gross, scatter, unnamed, wrong)
+    del tried, free
+    give_back()
     answer["visits"] += len(odd)
     answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)
@@ -138,11 +143,11 @@ def _believed(
 
 
 def _learnt_without(
-    machine: Machine, space: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, calming: Array | None
+    machine: Machine, space: Workspace, clean: Recording, gross: GrossErrors, calming: Array | None
 ) -> Workspace:
-    """The base model once more, learnt from the recording as it would be without what was found."""
+    """The base model once more, learnt from the recording as it would be without what was found (clean)."""
     believed = gross.others(space.recording)
-    believable = _without(space, tried, found).subset(believed)
+    believable = clean.subset(believed)
     base = estimate(joint_model(machine, believable), believable)
     base = _as_believed(space, base, believed)
     return prepare(machine, space.recording, believed, base, calming, gross.at_a_place)
@@ -162,6 +167,7 @@ def _look(
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
+    give_back()
     jumps = jumps_of_zeros(space)
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
     named = library(space.context, without, moments, periods, bands, jumps, knocks, lost)

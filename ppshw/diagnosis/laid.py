@@ -48,6 +48,7 @@ class Laid:
         some = lengths > NOTHING  # few visits tell fewer directions of the base model than it has parameters
         self.lengths, self.turn = lengths[some], turn[:, some]
         self.absorbing = scaled @ self.turn
+        del scaled
         fit, rows = int(space.fit.sum()), space.rows
         self.scale = np.empty(len(columns))
         self._place = np.empty(len(columns), dtype=np.int64)  # rows are sorted by where they act
@@ -93,13 +94,11 @@ class Laid:
     def product(self, x: Array) -> Array:
         """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
         out = np.empty((len(self.scale), x.shape[1]))
-        parts = list(self._along(x))
 
-        def of_part(k: int) -> None:
-            along, span = parts[k]
-            out[span] = self._values[span] @ along.astype(np.float32)
+        def of_group(k: int) -> None:
+            out[self._spans[k]] = self._values[self._spans[k]] @ self._along(x, k).astype(np.float32)
 
-        side_by_side(of_part, range(len(parts)))
+        side_by_side(of_group, range(len(self._spans)))
         out[len(self._values) :] = self._fields @ x.astype(np.float32)
         return out[self._place]
 
@@ -146,11 +145,11 @@ class Laid:
         meant = self.absorbing @ rng.standard_normal((len(self.lengths), draws))
         return self.product(self.space.absorb(rng.standard_normal((len(meant), draws)) + meant))
 
-    def _along(self, x: Array) -> Iterable[tuple[Array, slice]]:
-        """Per group what readings x (R, d) come to along its column of the Jacobian, (F, d), and its rows."""
+    def _along(self, x: Array, group: int) -> Array:
+        """(F, d) what readings x (R, d) come to along a group's column of the Jacobian. Of one group at a time: those
+        of all are several times the columns themselves."""
         visits = x.reshape(len(x) // self.space.rows, self.space.rows, x.shape[1])
-        for white, span in zip(self._white, self._spans, strict=True):
-            yield np.einsum("fr,frd->fd", white, visits), span
+        return np.asarray(np.einsum("fr,frd->fd", self._white[group], visits))
 
     def _absorbed(self, x: Array) -> tuple[Single, Array]:
         """Zᵀ x of every column, worked out in double precision, and the squared length of each: (K, a), (K,); in the
@@ -161,15 +160,13 @@ class Laid:
             squares[part] = np.einsum("ka,ka->k", exact, exact)
             out[part] = exact
 
-        parts = list(self._along(x))
-
-        def of_part(k: int) -> None:
-            along, span = parts[k]
+        def of_group(k: int) -> None:
+            along, span = self._along(x, k), self._spans[k]
             for at in range(span.start, span.stop, BLOCK):
                 part = slice(at, min(at + BLOCK, span.stop))
                 keep(part, self._values[part].astype(float) @ along)
 
-        side_by_side(of_part, range(len(parts)))
+        side_by_side(of_group, range(len(self._spans)))
         for at in range(0, len(self._fields), BLOCK):
             fields = self._fields[at : at + BLOCK].astype(float)
             keep(slice(at + len(self._values), at + len(self._values) + len(fields)), fields @ x)
