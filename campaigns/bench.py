@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 # Joint values (n,) and a target's name → where the tracker should look (3,) [m, tracker frame].
 Aim = Callable[[Array, str], Array]
 
-# Windows has no SIGHUP.
-INTERRUPTIONS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+# Windows has no SIGHUP and no SIGQUIT.
+INTERRUPTIONS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
 STANDARD_AIR = Atmosphere(temperature_c=20.0, pressure_hpa=1013.25, humidity_pct=50.0)
 
 
@@ -57,6 +57,7 @@ class Bench:
     notes: Mapping[str, str] = field(default_factory=dict)
     homed: tuple[str, ...] = field(default=(), init=False)
     _started: bool = field(default=False, init=False)
+    _places: tuple[str, ...] = field(default=(), init=False)  # of the thermometers, at the first look
     _until_closed: ExitStack = field(default_factory=ExitStack, init=False)
 
     def __enter__(self) -> Bench:
@@ -124,7 +125,7 @@ class Bench:
     def temperatures(self) -> dict[str, float]:
         """Place → °C of every thermometer; `air` is the tracker's atmosphere where no thermometer hangs there.
 
-        A place that two thermometers claim is a HardwareError.
+        A place that two thermometers claim is a HardwareError, and so is one that was read before and is no more.
         """
         found: dict[str, float] = {}
         for thermometer in self.thermometers:
@@ -132,6 +133,10 @@ class Bench:
                 if place in found:
                     raise HardwareError("thermometers", f"two of them report a place called '{place}'")
                 found[place] = value
+        if gone := [place for place in self._places if place not in found]:
+            raise HardwareError("thermometers", f"no reading of {', '.join(gone)} any more")
+        self._places = self._places or tuple(found)
+        found = {place: found[place] for place in self._places}  # one that comes later has no column
         found.setdefault("air", self.atmosphere().temperature_c)
         return found
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from campaigns.bench import Bench
 from campaigns.plan import Plan
-from drivers.ports import DeviceInfo, MoveReport, Shot, WrenchReading
+from drivers.ports import DeviceInfo, Shot, WrenchReading
 from ppshw.errors import RecordingError
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording_file import RecordingFile
@@ -28,11 +28,11 @@ LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "py
 
 
 def joint_cells(
-    joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], report: MoveReport
+    joints: tuple[str, ...], commanded: Array, q: Mapping[str, float], approach: Mapping[str, int]
 ) -> dict[str, str]:
     out = {f"q_cmd_{j}": f"{x:.9f}" for j, x in zip(joints, commanded.tolist(), strict=True)}
     out |= {f"q_{j}": f"{q[j]:.9f}" for j in joints}
-    out |= {f"approach_{j}": str(report.approach[j]) for j in joints}
+    out |= {f"approach_{j}": str(approach[j]) for j in joints}
     return out
 
 
@@ -106,6 +106,14 @@ def to_redo(file: RecordingFile) -> set[int]:
 
 def skipped(file: RecordingFile) -> set[int]:
     return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
+
+
+def exchanged(file: RecordingFile, devices: Sequence[DeviceInfo]) -> str:
+    """Devices with another serial number than at the recording's last start, in words; empty where there are none."""
+    starts = [data for _, kind, _, data in file.events() if kind == "start"]
+    before = {d["device"]: d["serial"] for d in starts[-1]["devices"]} if starts else {}
+    others = [(d, was) for d in devices if (was := before.get(d.device)) and d.serial and d.serial != was]
+    return ", ".join(f"{d.device} has number {d.serial}, had {was}" for d, was in others)
 
 
 def last_visit(file: RecordingFile) -> dict[str, str]:

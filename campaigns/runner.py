@@ -114,6 +114,7 @@ class _Run:
         self._joints = plan.machine.joint_names
         self._load: str | None = None
         self._put_on = math.nan  # when it was put on [s] since 1970
+        self._came: dict[str, int] = {}  # from which side joints came that stand where a broken-off run left them
         self._lay_before: Array | None = None  # wrench before that
         self._steadiness = Steadiness()
         self._noticed: str | None = None  # when trouble was noticed, where it is raised later
@@ -128,6 +129,7 @@ class _Run:
                 run_notes.refuse_another_run(file, meta)
                 if self._all_done(file):
                     return self._result(file)
+                self._require_later(run_notes.last_visit(file))
         elif not self._out.parent.is_dir():
             raise RecordingError(f"{self._out}: the folder {self._out.parent} does not exist")
         try:
@@ -138,6 +140,8 @@ class _Run:
                 if existing and note["site_sha256"] != file.meta().get("site_sha256", ""):
                     note["site"] = self._bench.notes.get("site", "")
                     self._operator.tell("The site file is another than the recording was begun with; both are kept.")
+                if existing and (others := run_notes.exchanged(file, devices)):
+                    self._operator.tell(f"Other devices than before: {others}. Unless they were changed, abort.")
                 self._log(file, "start", "resumed" if existing else "started", note)
                 if existing:
                     self._say_what_moved(file)
@@ -157,15 +161,15 @@ class _Run:
             origin = run_notes.origin(self._plan)
             return RecordingFile.create(self._out, columns, {**meta, **origin, **self._bench.notes})
         file = RecordingFile.open(self._out)
-        last_visit, now = run_notes.last_visit(file), self._now()
-        last, missing = last_visit["time"], ", ".join(p for p in places if f"temp_{p}_C" not in last_visit)
-        if missing or now < last:
+        last_visit = run_notes.last_visit(file)
+        if missing := ", ".join(p for p in places if f"temp_{p}_C" not in last_visit):
             file.close()
-            why = f"its last visit is of {last}, now is {now}"
-            if missing:
-                why = f"no column for the temperature of {missing}"
-            raise RecordingError(f"{self._out}: cannot be continued: {why}")
+            raise RecordingError(f"{self._out}: cannot be continued: no column for the temperature of {missing}")
         return file
+
+    def _require_later(self, last_visit: Mapping[str, str]) -> None:
+        if (now := self._now()) < (last := last_visit["time"]):
+            raise RecordingError(f"{self._out}: cannot be continued: its last visit is of {last}, now is {now}")
 
     def _say_what_moved(self, file: RecordingFile) -> None:
         """Since the last visit, for the operator to judge: a move that was broken off or somebody who moved the machine
@@ -173,9 +177,9 @@ class _Run:
         their switch."""
         last, now = run_notes.last_visit(file), self._bench.axes.positions()
         before = {j: float(q) for j in self._joints if (q := last.get(f"q_{j}"))}
-        moved = {
-            j: (before[j], now[j]) for j in before if j not in self._bench.homed and abs(now[j] - before[j]) > SLIP
-        }
+        unmoved = [j for j in before if j not in self._bench.homed and abs(now[j] - before[j]) <= SLIP]
+        self._came = {j: int(side) for j in unmoved if (side := last.get(f"approach_{j}"))}
+        moved = {j: (before[j], now[j]) for j in before if j not in (*self._bench.homed, *unmoved)}
         if not moved:
             return
         units = {joint.name: joint.unit for joint in self._plan.machine.joints}
@@ -251,6 +255,7 @@ class _Run:
             bench.axes.move(dict(zip(self._joints, visit.via, strict=True)))
         commanded = self._corrected(visit, wanted)
         report = bench.axes.move(dict(zip(self._joints, commanded.tolist(), strict=True)))
+        approach = {j: side or self._came.get(j, 0) for j, side in report.approach.items()}
         rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
         self._wait(rest, report.positions)
         settled_s, time = bench.clock.now() - report.ended_at, self._now()
@@ -260,7 +265,7 @@ class _Run:
         temperatures = bench.temperatures()
         bench.axes.require_at_rest(q)  # an axis that fell over during the measurement, or was pushed, spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
-        cells |= run_notes.joint_cells(self._joints, commanded, q, report)
+        cells |= run_notes.joint_cells(self._joints, commanded, q, approach)
         for shot in shots:
             cells |= {f"{shot.target}_{axis}": f"{x:.9f}" for axis, x in zip("xyz", shot.xyz.tolist(), strict=True)}
         cells |= {f"temp_{place}_C": f"{value:.4f}" for place, value in temperatures.items()}
@@ -278,6 +283,7 @@ class _Run:
         if self._bench.force_sensor is None:
             return None
         reading = self._bench.force_sensor.read()
+        self._steadiness.require_alive(self._bench.force_sensor.name, reading)
         sway, looks = self._steadiness.sway(reading), 0
         while sway is not None and looks < WEIGHED_AGAIN:
             self._wait(AGAIN_AFTER_S, at)

@@ -49,7 +49,7 @@ from drivers.gsv8 import Gsv8Sensor
 from drivers.ports import Atmosphere, Clock, ForceSensor, Thermometer, Tracker, WallClock
 from drivers.serial_port import Port
 from drivers.thermometer_file import FileThermometer
-from ppshw.errors import CampaignError, SiteError, SoftLimit
+from ppshw.errors import CampaignError, InstrumentFault, SiteError, SoftLimit
 from ppshw.machine import Joint, Machine, load_machine
 from ppshw.strict_yaml import Section, read_yaml
 from ppshw.transforms import from_xyz_rpy
@@ -186,7 +186,8 @@ def _air_now(site: Site, thermometers: tuple[Thermometer, ...]) -> Atmosphere:
     for thermometer in thermometers:
         if place in (found := thermometer.read()):
             return Atmosphere(found[place], site.air.pressure_hpa, site.air.humidity_pct)
-    raise SiteError(f"{site.file}: tracker.atmosphere.temperature_from is '{place}', but no thermometer is there")
+    cause = f"none reads '{place}', where 'tracker.atmosphere.temperature_from' of {site.file} takes the air's from"
+    raise InstrumentFault("thermometers", cause)
 
 
 # --- sections ------------------------------------------------------------------------------------------------
@@ -285,6 +286,7 @@ def _axis(s: Section, joint: Joint, axes: Section, host: int | None) -> AxisConf
         vendor=s.integer("vendor") if "vendor" in s else None,
         product=s.integer("product") if "product" in s else None,
         firmware=s.text("firmware") if "firmware" in s else None,
+        serial=s.integer("serial") if "serial" in s else None,
         parameters=_parameters(s, _set_afterwards(s, homing, host)),
     )  # fmt: skip
     s.done()

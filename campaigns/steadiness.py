@@ -1,4 +1,5 @@
-"""Whether a load hangs still while it is weighed: the spread of a reading against what is usual in its run."""
+"""Whether a load hangs still while it is weighed: the spread of a reading against what is usual in its run; and whether
+its readings are any."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import WrenchReading
+from ppshw.errors import InstrumentFault
 from ppshw.machine import WRENCH_COMPONENTS
 
 Array = NDArray[np.float64]
@@ -23,6 +25,17 @@ class Steadiness:
 
     def __init__(self) -> None:
         self._calm: deque[Array] = deque(maxlen=LAST)
+        self._frozen: Array | None = None  # the last visit's reading, where it had no spread at all
+
+    def require_alive(self, name: str, reading: WrenchReading) -> None:
+        """Once a visit. Raises InstrumentFault of a sensor that says, in every frame of two visits, the very same:
+        strain gauges have noise."""
+        frozen = reading.wrench if reading.samples > 1 and not reading.spread.any() else None
+        if frozen is not None and self._frozen is not None and np.array_equal(frozen, self._frozen):
+            raise InstrumentFault(
+                name, "reads the very same in every frame of this visit and of the one before"
+            )
+        self._frozen = frozen
 
     def sway(self, reading: WrenchReading) -> str | None:
         """What sways, in words; None, and the reading is one more that says what is usual, where nothing does."""

@@ -64,6 +64,7 @@ class AxisConfig:
     vendor: int | None = None
     product: int | None = None
     firmware: str | None = None
+    serial: int | None = None
     parameters: Mapping[tuple[int, int], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
 
@@ -19,6 +18,7 @@ from drivers.cia402 import Cia402Axis
 from drivers.cia402_objects import CHANGE_AT_ONCE, ENABLE, NEW_SET_POINT, PROFILE_POSITION, Snapshot, State
 from drivers.homing import home
 from drivers.ports import Clock, DeviceInfo, MoveReport
+from drivers.stopping import Stopping
 from ppshw.errors import (
     BadInput,
     BusLost,
@@ -33,7 +33,7 @@ from ppshw.errors import (
 log = logging.getLogger(__name__)
 
 HANDSHAKE_TIMEOUT, HANDSHAKE_SYNCS = 0.5, 20  # s of machine time and SYNCs; a drive needs two SYNCs
-RAMP_S, LOOK_S = 5.0, 0.1  # of machine time: what a quick stop may take at most, and between two looks at it
+ASTRAY = 0.01  # m or rad; by so much no axis leaves its way, whatever it overshoots (ours)
 MARGIN_FACTOR, MARGIN_S = 1.5, 5.0  # a move may take this much longer than its trapezoid before it is given up
 
 
@@ -54,7 +54,14 @@ class Cia402Group:
         self._approach = dict.fromkeys(self.names, 0)
         self._started = False
         self._ours = False  # nobody else was found to move these axes
-        self.unstopped: Sequence[str] = ()
+        self._stopping = Stopping(self._bus, clock, self._axes_now)
+
+    @property
+    def unstopped(self) -> Sequence[str]:
+        return self._stopping.unstopped
+
+    def _axes_now(self) -> Collection[Cia402Axis]:
+        return self._axes.values()
 
     def axis(self, name: str) -> Cia402Axis:
         self._connect()
@@ -103,7 +110,7 @@ class Cia402Group:
             self._exchange(expect_enabled=False)
             for axis in self._axes.values():
                 if axis.config.homing is None or axis.homed:  # else its reading means nothing yet
-                    axis.config.require_possible(self._position(axis))
+                    axis.config.require_possible(axis.here())
             for axis in self._axes.values():
                 axis.enable()
             homed = [axis for axis in self._axes.values() if axis.config.homing is not None and not axis.homed]
@@ -143,14 +150,15 @@ class Cia402Group:
         self._connect()
         if self._started:
             self._exchange(expect_enabled=False)
-        return {name: self._position(axis) for name, axis in self._axes.items()}
+        return {name: axis.here() for name, axis in self._axes.items()}
 
     def close(self) -> None:
         """Disable every drive (brakes close), end its watch over our heartbeat, leave the bus; no step is left out for
         one that failed."""
-        steps = [self._wait_for_standstill] if self._started else []
+        steps = [self._stopping.stand_still] if self._started else []
         for axis in self._axes.values():
-            steps += [partial(self._switch_off, axis), axis.end_watch] if self._started else [axis.end_watch]
+            steps += [partial(self._stopping.switch_off, axis)] if self._started else []
+            steps += [axis.end_watch]
         try:
             for step in steps:
                 try:
@@ -161,10 +169,6 @@ class Cia402Group:
             self._started = self._ours = False
             self._axes = {}
             self._bus.close()
-
-    def _switch_off(self, axis: Cia402Axis) -> None:
-        axis.disable()
-        self.unstopped = [name for name in self.unstopped if name != axis.name]
 
     def __enter__(self) -> Cia402Group:
         return self
@@ -177,77 +181,19 @@ class Cia402Group:
     # stopping
 
     def quick_stop(self) -> None:
-        """Quick stop to every axis, first by process data and one SYNC, then by SDO where that did not show.
-
-        Best effort: what fails here is logged, because the reason for stopping is what must be heard, and is in
-        `unstopped`. Axes that another program moves are left to it.
-        """
+        """Best effort: what fails is logged and in `unstopped`. Axes that another program moves are left to it."""
         if not self._ours:
             return
-        self.unstopped = self.names
         try:
-            self._stop_at_once()
-            self.unstopped = self._stop_the_disobedient()
-        except Exception as error:
-            log.error("quick stop: %s", error)
+            self._stopping.stop()
         finally:
             for axis in self._axes.values():
                 axis.target = None
 
-    def _wait_for_standstill(self) -> None:
-        """Until the ramps of a quick stop have ended: a motor without power coasts, or drops its brake at speed. For a
-        bounded time, and not for an axis that says nothing."""
-        deadline = self._clock.now() + RAMP_S
-        before: dict[str, float] = {}
-        try:
-            while self._clock.now() < deadline:
-                silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
-                heard = [axis for axis in self._axes.values() if axis.node_id not in silent]
-                here = {axis.name: self._position(axis) for axis in heard}
-                still = [abs(q - before.get(name, math.inf)) <= self._configs[name].window for name, q in here.items()]
-                if still and all(still):
-                    return
-                before = here
-                self._clock.sleep(LOOK_S)
-            log.warning("closing: axes still moved %g s after the quick stop", RAMP_S)
-        except Exception as error:  # best effort, as the stop itself
-            log.warning("closing: %s", error)
-            with self._bus.arrival:  # unseen, the ramps are given their time: nothing more arrives
-                self._clock.wait_for(self._bus.arrival, lambda: False, deadline - self._clock.now())
-
-    def _stop_the_disobedient(self) -> list[str]:
-        """Stopped by SDO, or switched off; returns who was not seen to obey. Nodes without process data may still
-        answer SDO, for instance when they fell back to PRE-OPERATIONAL, as all do at one word of an NMT master."""
-        silent = self._bus.exchange([axis.node_id for axis in self._axes.values()])
-        unstopped = []
-        for axis in sorted(self._axes.values(), key=lambda a: a.node_id in silent):
-            try:
-                if axis.state() is State.OPERATION_ENABLED:
-                    log.warning("%s: did not obey quick stop by process data", axis.name)
-                    axis.quick_stop_by_sdo()
-            except HardwareError as error:
-                log.error("quick stop: %s", error)
-                unstopped.append(axis.name)
-        return unstopped
-
     def _on_emergency(self) -> None:
-        """Called in the receiving thread; a bus that we only look at is left alone."""
-        if self._started:
-            self._stop_at_once()
-
-    def _stop_at_once(self) -> None:
-        """No waiting and no SDO, so that it can be done the moment an emergency comes in."""
-        with self._bus.commanding:
-            self._bus.stopped = True
-            for axis in self._axes.values():
-                try:
-                    axis.send_quick_stop()
-                except Exception as error:
-                    log.error("quick stop of %s: %s", axis.name, error)
-            try:
-                self._bus.sync()
-            except Exception as error:
-                log.error("quick stop: %s", error)
+        """Called in the receiving thread; a bus that we only look at is left alone, and so is one that was stopped."""
+        if self._started and not self._bus.stopped:
+            self._stopping.at_once()
 
     # supervision
 
@@ -267,7 +213,7 @@ class Cia402Group:
     def require_at_rest(self, at: Mapping[str, float], within: float | None = None) -> None:
         self.raise_if_faulty()
         for axis in self._axes.values():
-            now, before, config = self._position(axis), at[axis.name], axis.config
+            now, before, config = axis.here(), at[axis.name], axis.config
             window, rounding = (config.window, 0.5 / config.counts_per_unit) if within is None else (within, 0.0)
             if abs(now - before) > window + rounding:
                 self.quick_stop()
@@ -276,6 +222,8 @@ class Cia402Group:
 
     def _raise_trouble(self) -> None:
         self._bus.check()
+        if any(axis.in_trouble for axis in self._axes.values()):
+            self._on_emergency()  # before anybody is asked what it is
         for axis in self._axes.values():
             if (trouble := axis.trouble()) is not None:
                 raise trouble
@@ -313,7 +261,7 @@ class Cia402Group:
         """Everyone is asked once more: all nodes if none answers now (the bus fell silent in between two answers), else
         those that did not answer both times, or one of them if all were only late: none that was late shall be named in
         the place of one that is gone. Nothing is forgiven for it: all is stopped first."""
-        self._stop_at_once()
+        self._stopping.at_once()
         everyone = {axis.node_id for axis in self._axes.values()}
         again = self._bus.exchange(everyone)
         return again if again == everyone else again & silent or {min(silent)}
@@ -334,7 +282,7 @@ class Cia402Group:
             if isinstance(error, Stopped):
                 self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
             raise
-        positions = {name: self._position(axis) for name, axis in self._axes.items()}
+        positions = {name: axis.here() for name, axis in self._axes.items()}
         return MoveReport(positions, dict(self._approach), ended_at)
 
     def _plan(self, setpoints: Mapping[str, float]) -> Callable[[], Iterable[dict[str, int]]]:
@@ -376,13 +324,17 @@ class Cia402Group:
 
     def _run_leg(self, targets: Mapping[str, int]) -> float:
         moving: list[Cia402Axis] = []
+        ways = {name: (axis.target, axis.target) for name, axis in self._axes.items() if axis.target is not None}
         duration = 0.0
         for name, target in targets.items():
             axis = self._axes[name]
             if axis.target == target:
                 continue
-            distance = target - self._departure(axis)
-            if distance:
+            known = axis.target is not None
+            distance = target - (here := self._departure(axis))
+            ways[name] = min(here, target), max(here, target)
+            # where no target was known, it stands somewhere about where it was sent: less is no motion
+            if abs(distance) > (0 if known else axis.config.window * axis.config.counts_per_unit):
                 self._approach[name] = axis.config.direction * (1 if distance > 0 else -1)
             duration = max(duration, axis.config.travel_time(abs(distance) / axis.config.counts_per_unit))
             axis.target = target
@@ -390,7 +342,7 @@ class Cia402Group:
         if not moving:
             return self._clock.now()
         started = self._start_together(moving)
-        return self._wait_until_at_rest(started, duration)
+        return self._wait_until_at_rest(started, duration, ways)
 
     def _start_together(self, moving: Sequence[Cia402Axis]) -> float:
         """Targets out, one SYNC for all. Returns when the SYNC went out."""
@@ -426,8 +378,10 @@ class Cia402Group:
                 state = _snapshot(laggard).state
                 raise HardwareTimeout(laggard.name, f"{otherwise} within {HANDSHAKE_TIMEOUT:g} s, {state}")
 
-    def _wait_until_at_rest(self, started: float, duration: float) -> float:
-        """Returns when the last axis came to rest: the begin of the time that it then stayed at rest."""
+    def _wait_until_at_rest(self, started: float, duration: float, ways: Mapping[str, tuple[int, int]]) -> float:
+        """Returns when the last axis came to rest: the begin of the time that it then stayed at rest. Raises
+        FollowingError for an axis that leaves its way [counts]: a drive that runs off (its encoder's or motor's sign, a
+        belt) needs no following error of its own for that."""
         expected_end = started + duration
         deadline = started + MARGIN_FACTOR * duration + MARGIN_S
         at_rest_since: dict[str, float] = {}
@@ -436,6 +390,8 @@ class Cia402Group:
             self._clock.sleep(self._next_look(now, expected_end, at_rest_since))
             self._exchange()
             now = self._clock.now()
+            for name, way in ways.items():
+                self._require_on(way, self._axes[name])
             for axis in self._axes.values():
                 if _is_at_rest(axis):
                     at_rest_since.setdefault(axis.name, now)
@@ -448,6 +404,13 @@ class Cia402Group:
                 return max(at_rest_since.values())
             if now > deadline:
                 raise self._late(now - started, at_rest_since)
+
+    def _require_on(self, way: tuple[int, int], axis: Cia402Axis) -> None:
+        c, counts = axis.config, _snapshot(axis).counts
+        if max(way[0] - counts, counts - way[1]) > ASTRAY * c.counts_per_unit:
+            ends = sorted(c.to_si(end) for end in way)
+            text = f"stands at {c.to_si(counts):.6g} {c.unit}, its way is {ends[0]:.6g} to {ends[1]:.6g} {c.unit}"
+            raise FollowingError(axis.name, f"{text}: its encoder's or motor's sign, or another program?")
 
     def _next_look(self, now: float, expected_end: float, at_rest_since: Mapping[str, float]) -> float:
         config = self._bus.config
@@ -470,9 +433,6 @@ class Cia402Group:
             f"not at rest on its target {after:.1f} s after the start: {abs(gap):.3g} {config.unit} away, "
             f"'target reached' {reached}{limited}, {snapshot.state}",
         )
-
-    def _position(self, axis: Cia402Axis) -> float:
-        return axis.position() if axis.snapshot is None else axis.config.to_si(axis.snapshot.counts)
 
 
 def _snapshot(axis: Cia402Axis) -> Snapshot:

@@ -162,6 +162,22 @@ class CanBus:
             if not self._pending:
                 self.arrival.notify_all()
 
+    def hears_heartbeat(self, node_id: int, seconds: float) -> bool:
+        """Whether that node says that it lives within this time."""
+        heard = threading.Event()
+
+        def hear(*_: Any) -> None:
+            with self.arrival:
+                heard.set()
+                self.arrival.notify_all()
+
+        self.network.subscribe(0x700 + node_id, hear)
+        try:
+            with self.arrival:
+                return bool(self.clock.wait_for(self.arrival, heard.is_set, seconds))
+        finally:
+            self.network.unsubscribe(0x700 + node_id, hear)
+
     def exchange(self, node_ids: Collection[int]) -> set[int]:
         """One SYNC, and process data from each node. Returns the nodes that stayed silent."""
         with self.arrival:
@@ -292,8 +308,10 @@ class SdoPort:
         if raw is None:
             return None
         size = struct.calcsize(entry.format)
+        if len(raw) < size:
+            raise ProtocolError(self._device, f"the SDO answer on {entry} has {len(raw)} bytes, expected {size}")
         # some drives answer with four bytes whatever the object's size
-        return int(struct.unpack("<" + entry.format, raw[:size].ljust(size, b"\0"))[0])
+        return int(struct.unpack("<" + entry.format, raw[:size])[0])
 
     def text_if_present(self, index: int) -> str | None:
         raw = self.upload(Entry(index, 0, "", "text"))

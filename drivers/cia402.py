@@ -73,6 +73,8 @@ from ppshw.errors import (
 
 COARSE = 0.05  # share by which whole drive units may change a speed
 MOTION_S = 0.1  # s between two looks that tell an axis in motion from one that stands
+OBEY_S = 0.1  # s of machine time that a drive may take to act on a controlword; most take 1 to 10 ms (a guess)
+LONGEST_WATCH_S = 5.0  # that is listened for another master's heartbeat
 FOLLOWING_S = 0.1  # s outside a following-error window until it is an error, where the site gives a window alone
 
 
@@ -116,12 +118,15 @@ class Cia402Axis:
         self._last_heard = self._bus.clock.now()
         if nmt_state == 0 and self._supervised:
             self._restarted, self.homed = True, False
+            self._on_emergency()
         with self._bus.arrival:
             self._bus.arrival.notify_all()
 
     def _heard_process_data(self, pdo: PdoMap) -> None:
         if len(pdo.data) >= 7:  # a shorter one is not what was mapped: the node then counts as silent
             self.snapshot = Snapshot(*struct.unpack_from("<Hib", pdo.data))
+            if self._supervised and self.shows(*FAULTY):
+                self._on_emergency()
             self._bus.received(self.node_id)
 
     # who and how
@@ -155,10 +160,11 @@ class Cia402Axis:
         return "ok" if heard else f"missing (set to {period_ms} ms)"
 
     def check_identity(self) -> None:
-        for entry, wanted in ((VENDOR, self.config.vendor), (PRODUCT, self.config.product)):
+        c = self.config
+        for entry, wanted, said in (VENDOR, c.vendor, _hex), (PRODUCT, c.product, _hex), (SERIAL, c.serial, _number):
             found = self.sdo.read_if_present(entry)
             if wanted is not None and found != wanted:
-                raise IdentityMismatch(self.name, f"{entry.name} is {_hex(found)}, expected {_hex(wanted)}")
+                raise IdentityMismatch(self.name, f"{entry.name} is {said(found)}, expected {said(wanted)}")
         if self.config.firmware is not None:
             firmware = self.sdo.text_if_present(0x100A)
             if firmware != self.config.firmware:
@@ -169,7 +175,12 @@ class Cia402Axis:
         return decode_state(self.sdo.read(STATUSWORD))
 
     def position(self) -> float:
+        """By SDO."""
         return self.config.to_si(self.sdo.read(POSITION))
+
+    def here(self) -> float:
+        """By its last process data, where there are any."""
+        return self.position() if self.snapshot is None else self.config.to_si(self.snapshot.counts)
 
     def refuse_in_motion(self) -> None:
         """Raises where the drive moves before this program has started it: to configure it would cut its power."""
@@ -185,7 +196,7 @@ class Cia402Axis:
 
     def configure(self) -> None:
         """Write the configuration and read it back; the node is OPERATIONAL afterwards, the drive not enabled."""
-        self._supervised, self._restarted = False, False
+        self._supervised, self._restarted = True, False  # what restarts from here on has lost what it was told
         if self.state() is State.OPERATION_ENABLED:
             self.disable()  # an enabled drive that loses its process data may do anything
         self._node.nmt.state = "PRE-OPERATIONAL"
@@ -195,18 +206,29 @@ class Cia402Axis:
         self._configure_motion()
         self._map_process_data()
         self.sdo.set(PRODUCER_HEARTBEAT, round(self._bus.config.heartbeat_period * 1000))
-        host = self._bus.config.host_node_id
-        if host is not None:
-            watch_ms = round(self._bus.config.host_heartbeat_period * 5000)
-            self.sdo.set_asked(CONSUMER_HEARTBEAT, host << 16 | watch_ms, "can.host_node_id")
-            self._watches = True
-        elif (CONSUMER_HEARTBEAT.index, CONSUMER_HEARTBEAT.subindex) not in self.config.parameters:
-            self._watches = bool(self.sdo.read_if_present(CONSUMER_HEARTBEAT))  # by another program's word
-            self.end_watch()
+        self._set_watch()
         self.snapshot = None
         self._node.nmt.state = "OPERATIONAL"
         self._last_heard = self._bus.clock.now()
-        self._supervised = True
+
+    def _set_watch(self) -> None:
+        """Ours, or none that a program before us left: it would end in a fault. One over a node that lives (a safety
+        PLC's) is not ours to take away, nor one that the site file asks for."""
+        host = self._bus.config.host_node_id
+        found = self.sdo.read_if_present(CONSUMER_HEARTBEAT) or 0
+        node, watch_s = found >> 16 & 0x7F, min((found & 0xFFFF) / 1000.0, LONGEST_WATCH_S)
+        asked = (CONSUMER_HEARTBEAT.index, CONSUMER_HEARTBEAT.subindex) in self.config.parameters
+        others = bool(watch_s) and node != host and not asked and self._bus.hears_heartbeat(node, watch_s)
+        if host is not None:
+            if others:
+                cause = f"watches node {node}, which lives; 'can.host_node_id' needs its {CONSUMER_HEARTBEAT}"
+                raise ConfigurationMismatch(self.name, cause)
+            watch_ms = round(self._bus.config.host_heartbeat_period * 5000)
+            self.sdo.set_asked(CONSUMER_HEARTBEAT, host << 16 | watch_ms, "can.host_node_id")
+            self._watches = True
+        elif found and not asked and not others:
+            self._watches = True
+            self.end_watch()
 
     def _require_a_stop(self) -> None:
         """By the drive's own option codes: without a brake, an axis of option 0 coasts."""
@@ -337,11 +359,25 @@ class Cia402Axis:
                 raise HardwareTimeout(self.name, f"refuses mode {PROFILE_POSITION} (profile position), shows {shown}")
             self._bus.clock.sleep(self._bus.config.sync_period)
 
-    def quick_stop_by_sdo(self) -> None:
-        """For a drive that did not obey by process data; one that does not by SDO either is switched off."""
-        self.sdo.write(CONTROLWORD, QUICK_STOP)
-        if self.state() is State.OPERATION_ENABLED:
-            self.disable()
+    def stopped_by_sdo(self) -> bool:
+        """For a drive that was not seen to obey a quick stop by process data; one that does not by SDO either is
+        switched off. Returns whether it obeyed in the end."""
+        if self.state() is not State.OPERATION_ENABLED:
+            return True
+        for word in (QUICK_STOP, DISABLE_VOLTAGE):
+            self.sdo.write(CONTROLWORD, word)
+            if self.leaves_operation():
+                return True
+        return False
+
+    def leaves_operation(self) -> bool:
+        """Whether it is seen to within the time that drives take."""
+        until = self._bus.clock.now() + OBEY_S
+        while self.state() is State.OPERATION_ENABLED:
+            if self._bus.clock.now() > until:
+                return False
+            self._bus.clock.sleep(self._bus.config.sync_period)
+        return True
 
     def disable(self) -> None:
         """Power off the motor; the drive leaves OPERATION ENABLED at once."""
@@ -382,12 +418,23 @@ class Cia402Axis:
 
     # supervision
 
+    @property
+    def in_trouble(self) -> bool:
+        """Whether `trouble` is any; asks nobody."""
+        s = self.snapshot
+        off_course = s is not None and s.off_course and s.mode == PROFILE_POSITION
+        return self._emergency is not None or self._restarted or self.shows(*FAULTY) or off_course
+
+    def shows(self, *states: State) -> bool:
+        """Whether its last process data say one of these states."""
+        return self.snapshot is not None and self.snapshot.state in states
+
     def trouble(self) -> HardwareError | None:
-        """What process data, emergencies and boot-ups say is wrong with this drive."""
+        """What process data, emergencies and boot-ups say is wrong with this drive. A fault's code may be asked for."""
         snapshot = self.snapshot
         if snapshot is not None and snapshot.off_course and snapshot.mode == PROFILE_POSITION:
             return self._following_error(snapshot)
-        if self._emergency is not None or (snapshot is not None and snapshot.state in FAULTY):
+        if self._emergency is not None or self.shows(*FAULTY):
             return self._drive_fault()
         if self._restarted:
             return DriveFault(self.name, "restarted by itself (boot-up message); its configuration is gone")
@@ -430,11 +477,18 @@ class Cia402Axis:
     def _drive_fault(self) -> DriveFault:
         code = self._emergency
         if code is None:
-            code = self.sdo.read_if_present(ERROR_CODE)
+            try:
+                code = self.sdo.read_if_present(ERROR_CODE)
+            except HardwareError as error:
+                return DriveFault(self.name, f"drive fault, its code cannot be read: {error.cause}")
         if not code:  # none, or none yet: some drives give it when their reaction has ended
             register = self.sdo.read_if_present(ERROR_REGISTER)
             return DriveFault(self.name, f"drive fault without a code, error register {_hex(register)}")
         return DriveFault(self.name, f"drive fault 0x{code:04X}, {meaning(code)}")
+
+
+def _number(value: int | None) -> str:
+    return "not given" if value is None else str(value)
 
 
 def _hex(value: int | None) -> str:

@@ -114,6 +114,7 @@ class GeoComTracker:
         self._geo: GeoCom | None = None
         self._started = False
         self._atmosphere: tuple[Atmosphere, float] | None = None
+        self._prism_m: float | None = None  # the constant of the prism that was set
 
     # --- the port
 
@@ -134,21 +135,20 @@ class GeoComTracker:
         self._connect()
         self._identity()
         self._tell(lambda geo: geo.com.set_double_precision(PRECISION))
-        self._verify("decimals", PRECISION, lambda geo: geo.com.get_double_precision())
         self._tell(lambda geo: geo.aus.switch_user_atr(True))
-        self._verify("target recognition", True, lambda geo: geo.aus.get_user_atr_state())
         self._tell(lambda geo: geo.bap.set_prism_type(self._prism))
-        self._verify("prism", self._prism, lambda geo: geo.bap.get_prism_type())
         self._tell(lambda geo: geo.tmc.set_atmospheric_correction_ppm(0.0))
-        self._own_correction_is_off()
+        self._prism_m = None
+        self._require_settings()
         self._started = True
 
     def set_atmosphere(self, atmosphere: Atmosphere) -> None:
-        """The air from now on. It is applied on the host; the instrument's own correction is only checked to be off."""
+        """The air from now on. It is applied on the host. The instrument is asked whether it is still set as at the
+        start: anybody can set another prism at its panel."""
         if fault := implausible(atmosphere):
             raise InstrumentFault(self.name, f"no air to correct with: {fault}")
         if self._started:
-            self._own_correction_is_off()
+            self._require_settings()
         self._atmosphere = (atmosphere, self._clock.now())
 
     def measure(self, target: str, expected: Array) -> Shot:
@@ -207,12 +207,19 @@ class GeoComTracker:
     def _distance_correction(self) -> tuple[float, float]:
         return self._ask(lambda geo: geo.tmc.get_distance_correction())
 
-    def _own_correction_is_off(self) -> None:
-        ppm, _ = self._distance_correction()
+    def _require_settings(self) -> None:
+        self._verify("decimals", PRECISION, lambda geo: geo.com.get_double_precision())
+        self._verify("target recognition", True, lambda geo: geo.aus.get_user_atr_state())
+        self._verify("prism", self._prism, lambda geo: geo.bap.get_prism_type())
+        ppm, prism_m = self._distance_correction()
         if ppm != 0.0:
             raise ConfigurationMismatch(
                 self.name, f"corrects distances by {ppm:g} ppm itself; it must be 0, the host corrects them"
             )
+        if self._prism_m not in (None, prism_m):
+            was, now = 1e3 * self._prism_m, 1e3 * prism_m
+            raise ConfigurationMismatch(self.name, f"its prism constant is {now:.2f} mm now, {was:.2f} mm at the start")
+        self._prism_m = prism_m
 
     # --- the line
 
@@ -231,7 +238,7 @@ class GeoComTracker:
     def _verify(self, what: str, wanted: T, read: Callable[[GeoCom], GeoComResponse[T]]) -> None:
         got = self._ask(read)
         if got != wanted:
-            raise ConfigurationMismatch(self.name, f"{what}: wrote {wanted}, reads {got}")
+            raise ConfigurationMismatch(self.name, f"{what}: set to {_said(wanted)}, reads {_said(got)}")
 
     def _tell(self, call: Callable[[GeoCom], GeoComResponse[None]], target: str = "") -> None:
         self._exchange(call, target)
@@ -296,6 +303,10 @@ class GeoComTracker:
             drain(self._line._port)
         except LINE_ERRORS:
             self.close()
+
+
+def _said(value: object) -> object:
+    return value.name if isinstance(value, Prism) else value
 
 
 def direction(xyz: Array) -> tuple[float, float]:

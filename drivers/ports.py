@@ -100,11 +100,13 @@ def not_stopped(axes: Sequence[str]) -> str:
 class AxisGroup(Protocol):
     """All axes of a machine; one fault stops them all.
 
-    unstopped  axes of which neither the last quick stop nor closing could see that they obeyed
+    unstopped  axes of which neither the last quick stop nor closing could see that they obeyed and stood
     """
 
     names: Sequence[str]
-    unstopped: Sequence[str]
+
+    @property
+    def unstopped(self) -> Sequence[str]: ...
 
     def check(self) -> list[DeviceInfo]:
         """Connect and say who and how each drive is; enables and moves nothing."""

@@ -38,8 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("stopped", 1)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return _nobody_listens()
     except OSError as error:
         message = f"{error.filename or 'file'}: {error.strerror or error}"
         return _complain(message, 2 if error.errno in BAD_PATH else 1)
@@ -55,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _as_a_program() -> None:
     """What concerns the whole process: a polite kill stops the axes like Ctrl-C, which a shell that starts us with &
     has ignored; stderr is for our one line alone; what is written to a stream that was closed is lost."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.default_int_handler)
     for name in ("stdout", "stderr"):
@@ -68,6 +67,16 @@ def _as_a_program() -> None:
         logging.getLogger().addHandler(logging.NullHandler())  # else Python prints the drivers' warnings itself
     with suppress(AttributeError):  # a terminal without our letters must not end in a traceback
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+
+
+def _nobody_listens() -> int:
+    """The exit code: somebody had enough of the answer (`| head`), or what we tell on the way goes nowhere."""
+    try:
+        sys.stdout.flush()  # again in vain, where the answer is what could not be written
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return 1
 
 
 def _complain(message: str, code: int) -> int:

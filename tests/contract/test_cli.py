@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import csv
 import errno
@@ -21,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ppshw import __version__
+from ppshw import __version__, cli
 from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.recording import Table, load_recording, read_table
@@ -446,6 +447,16 @@ def test_whoever_reads_may_stop_reading(desk: Path) -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.startswith("paper on pps: 669 visits")
     assert done.stderr == ""
+
+
+def test_a_command_that_nobody_can_be_told_of_on_its_way_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run whose stderr goes into a pipe that died: it was stopped before its end."""
+
+    def tell(arguments: argparse.Namespace) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", lambda *_: argparse.Namespace(function=tell))
+    assert cli.main(["run"]) == 1
 
 
 def test_an_answer_that_nobody_wants_is_no_failure(desk: Path) -> None:

@@ -93,26 +93,32 @@ def test_a_run_completes_and_once_more_has_nothing_left_to_do(hall: Path) -> Non
     assert not list(hall.glob("*.lock"))
 
 
-def test_a_run_that_is_told_to_end_stops_the_axes_and_goes_on_later(hall: Path) -> None:
-    """SIGTERM, as a service manager sends it, is as good as Ctrl-C; meanwhile nobody else may write the recording."""
-    words = ["run", "60.yaml", "--site", "site.yaml", "--out", "long.db", "--json"]
+@pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGQUIT])
+def test_a_run_that_is_told_to_end_stops_the_axes_and_goes_on_later(
+    hall: Path, request_to_end: signal.Signals
+) -> None:
+    """SIGTERM, as a service manager sends it, and Ctrl-\\ are as good as Ctrl-C; meanwhile nobody else may write the
+    recording."""
+    out = f"{request_to_end.name}.db"
+    (hall / "60.yaml").write_text(SCRIPT.replace("COUNT", "60"), encoding="utf-8")
+    words = ["run", "60.yaml", "--site", "site.yaml", "--out", out, "--json"]
     process = subprocess.Popen([PROGRAM, *words], cwd=hall, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
-    while not (hall / "long.db").exists() or measured(hall / "long.db") < 2:
+    while not (hall / out).exists() or measured(hall / out) < 2:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    assert "long.db: another run is writing it" in run(hall, *words, code=2)
-    os.kill(process.pid, signal.SIGTERM)
-    out, err = process.communicate(timeout=30)
-    assert (process.returncode, out) == (1, "")
-    assert err == "ppshw: stopped by the operator; long.db holds everything up to the last visit\n"
-    so_far = measured(hall / "long.db")
+    assert f"{out}: another run is writing it" in run(hall, *words, code=2)
+    os.kill(process.pid, request_to_end)
+    said, err = process.communicate(timeout=30)
+    assert (process.returncode, said) == (1, "")
+    assert err == f"ppshw: stopped by the operator; {out} holds everything up to the last visit\n"
+    so_far = measured(hall / out)
     assert 2 <= so_far < 60
-    with RecordingFile.open(hall / "long.db") as file:
+    with RecordingFile.open(hall / out) as file:
         assert file.events()[-1][1] == "stopped"
     (hall / "60.yaml").write_text("# another script\n" + SCRIPT.replace("COUNT", "60"), encoding="utf-8")
-    assert "long.db: was begun with another campaign script" in run(hall, *words, code=2)
+    assert f"{out}: was begun with another campaign script" in run(hall, *words, code=2)
 
 
 def measured(path: Path) -> int:

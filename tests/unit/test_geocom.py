@@ -249,6 +249,25 @@ def test_what_the_instrument_refuses_is_said_with_its_code(
         tracker.measure("P1", room.targets["P1"])
 
 
+@pytest.mark.parametrize(
+    ("rpc", "answer", "said"),
+    [
+        (17009, ["1"], "prism: set to ROUND, reads MINI"),
+        (2126, ["0.0", "0.0175"], r"its prism constant is 17\.50 mm now, 0\.00 mm at the start"),
+        (2126, ["3.5", "0.0"], r"corrects distances by 3\.5 ppm itself"),
+        (18006, ["0"], "target recognition: set to True, reads False"),
+        (108, ["4"], "decimals: set to 15, reads 4"),
+    ],
+)
+def test_what_somebody_sets_otherwise_at_the_panel_is_noticed_before_the_next_shot(
+    tracker: GeoComTracker, station: SimulatedTracker, rpc: int, answer: list[str], said: str
+) -> None:
+    tracker.set_atmosphere(ROOM)
+    station._rpcs[rpc] = lambda p: (0, answer)
+    with pytest.raises(ConfigurationMismatch, match=f"tracker: {said}"):
+        tracker.set_atmosphere(ROOM)
+
+
 def test_a_prism_nobody_makes_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValueError, match="no prism 'SQUARE'; there are ROUND, MINI, TAPE"):
         GeoComTracker("/dev/null", SteppedClock(), prism="SQUARE")

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from campaigns import run_notes
 from campaigns.bench import Bench, nominal_aim
 from campaigns.operator import Answer, AutomaticOperator, Command, ConsoleOperator
 from campaigns.plan import Plan, plan_campaign
@@ -71,9 +72,10 @@ class FakeAxes:
         self.silent_from = np.inf  # machine time from which a node is silent
         self.slip, self.slips_from = 0.0, np.inf  # how far the first axis slips [m], and from which machine time on
         self.homed = ["yaw"]
+        self.serials: dict[str, str] = {}
 
     def check(self) -> list[DeviceInfo]:
-        return [DeviceInfo(name, "fake", "1", "1", "ready") for name in self.names]
+        return [DeviceInfo(name, "fake", self.serials.get(name, "1"), "1", "ready") for name in self.names]
 
     def start(self) -> list[str]:
         self.stops = 0
@@ -162,6 +164,7 @@ class FakeSensor:
         self.wrench = np.zeros(6)
         self.closed = False
         self.reads, self.sways = 0, range(0)  # at which of its readings Fz sways
+        self.noise = 0.1
 
     def check(self) -> DeviceInfo:
         return DeviceInfo("force sensor", "fake", "1", "1", "ready")
@@ -170,8 +173,8 @@ class FakeSensor:
         pass
 
     def read(self) -> WrenchReading:
-        spread = np.full(6, 0.1)
-        spread[2] = 7.2 if self.reads in self.sways else 0.1
+        spread = np.full(6, self.noise)
+        spread[2] = 7.2 if self.reads in self.sways else self.noise
         self.reads += 1
         return WrenchReading(self.wrench.copy(), spread, 32, 30.0)
 
@@ -184,6 +187,7 @@ class FakeThermometer:
 
     def __init__(self) -> None:
         self.values = [21.0]
+        self.reads, self.gone_after = 0, math.inf
         self.trouble: HardwareError | None = None
 
     def check(self) -> DeviceInfo:
@@ -192,6 +196,9 @@ class FakeThermometer:
     def read(self) -> Mapping[str, float]:
         if self.trouble is not None:
             raise self.trouble
+        self.reads += 1
+        if self.reads > self.gone_after:
+            return {}
         return {"column": self.values.pop(0) if len(self.values) > 1 else self.values[0]}
 
 
@@ -328,7 +335,7 @@ def test_a_second_interrupt_leaves_no_device_open(situation: Situation) -> None:
     assert situation.sensor.closed
 
 
-@pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_while_it_stops_and_closes_nobody_interrupts(situation: Situation, request_to_end: signal.Signals) -> None:
     situation.axes.trouble = (3, DriveFault("yaw", "tripped"))
     closing = situation.tracker.close
@@ -692,6 +699,70 @@ def test_a_load_that_sways_is_weighed_again_and_one_that_goes_on_is_said(
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
     time = load_recording(situation.out, situation.machine).time
     assert time[5] - time[4] - (time[4] - time[3]) == pytest.approx(5 * AGAIN_AFTER_S, abs=0.1)
+
+
+def test_a_sensor_that_says_the_very_same_at_two_visits_is_frozen(situation: Situation) -> None:
+    situation.sensor.noise = 0.0
+    with pytest.raises(InstrumentFault, match="force sensor: reads the very same in every frame of this visit and of"):
+        situation.run()
+    assert situation.indices() == [0]
+    situation.sensor.noise = 0.1
+    situation.run()
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_thermometer_that_is_gone_ends_the_run(situation: Situation) -> None:
+    situation.thermometer.gone_after = 4  # two at the start, two visits
+    with pytest.raises(HardwareError, match="thermometers: no reading of column any more"):
+        situation.run()
+    assert situation.indices() == [0, 1]
+    assert situation.axes.stops > 0
+
+
+def test_a_joint_that_stands_since_the_break_came_from_where_it_came(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    with RecordingFile.open(situation.out) as file:
+        before = run_notes.last_visit(file)
+    situation.axes.trouble = None
+    move = situation.axes.move
+
+    def nothing_moved(setpoints: Mapping[str, float]) -> MoveReport:
+        report = move(setpoints)
+        return replace(report, approach=dict.fromkeys(report.approach, 0) | {"roll": 1})
+
+    situation.axes.move = nothing_moved  # type: ignore[method-assign]
+    situation.axes.homed = ["yaw"]
+    situation.run()
+    recording = load_recording(situation.out, situation.machine)
+    joints = list(situation.machine.joint_names)
+    expected = [0 if j == "yaw" else 1 if j == "roll" else int(before[f"approach_{j}"]) for j in joints]
+    assert recording.approach[4].tolist() == expected
+    assert any(expected)
+
+
+def test_a_resumed_run_says_which_devices_are_others(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    situation.axes.trouble = None
+    situation.axes.serials = {"yaw": "7", "roll": "8"}
+    operator = Scripted(situation)
+    situation.run(operator)
+    assert operator.told == ["Other devices than before: yaw has number 7, had 1, roll has number 8, had 1. Unless "
+                             "they were changed, abort."]  # fmt: skip
+
+
+def test_a_clock_that_was_set_back_is_refused_before_an_axis_is_enabled(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    situation.axes.trouble, situation.axes.started = None, False
+    situation.clock = situation.axes.clock = situation.tracker.clock = SteppedClock()
+    with pytest.raises(RecordingError, match="cannot be continued: its last visit is of"):
+        situation.run()
+    assert not situation.axes.started
 
 
 def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation: Situation) -> None:

@@ -1,9 +1,4 @@
-"""CiA 402 axes against simulated drives on a virtual CAN bus. Time is stepped, nothing sleeps for a motion.
-
-slide  node 1, 100 000 counts/m, upwards           lift  node 2, 200 000 counts/m, motor turns the other way
-slew   node 3, 50 000 counts/rad, zero at 0.5 rad
-All speeds are 0.1 unit/s, all accelerations 0.1 unit/s².
-"""
+"""CiA 402 axes against simulated drives on a virtual CAN bus (`rack`). Time is stepped, nothing sleeps for a motion."""
 
 from __future__ import annotations
 
@@ -21,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.axis_config import AxisConfig, HomingConfig
+from drivers.axis_config import HomingConfig
 from drivers.axis_group import Cia402Group
 from drivers.canopen_bus import BusConfig, CanBus, Entry, SdoPort
 from drivers.cia402 import Cia402Axis
@@ -43,63 +38,8 @@ from ppshw.errors import (
     Stopped,
 )
 from simulators.clock import SteppedClock
-from simulators.drive import Identity, Power, SimulatedDrive, SimulatedDriveRack
-
-SLIDE = AxisConfig("slide", 1, 100_000, -1.0, 1.0, velocity=0.1, acceleration=0.1, following_window=0.005)
-LIFT = replace(SLIDE, name="lift", node_id=2, counts_per_unit=200_000, direction=-1)
-SLEW = replace(SLIDE, name="slew", node_id=3, counts_per_unit=50_000, offset=0.5, lower=-1.5, upper=1.5, unit="rad")
-
-channels = (f"cia402-{n}" for n in itertools.count())
-
-
-class Machine:
-    """Three drives and the group that drives them."""
-
-    def __init__(self, *axes: AxisConfig, **drive: Any) -> None:
-        self.clock = SteppedClock(grace=0.12)
-        self.rack = SimulatedDriveRack(self.clock, next(channels))
-        self.axes = axes or (SLIDE, LIFT, SLEW)
-        for axis in self.axes:
-            self.rack.add(SimulatedDrive(axis.node_id, self.clock, self.rack.network, **drive))
-        virtual = {"interface": "virtual", "channel": self.rack.channel}
-        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.2)
-        self.group = Cia402Group(self.axes, bus, self.clock)
-
-    @property
-    def drives(self) -> list[SimulatedDrive]:
-        return list(self.rack.drives.values())
-
-    def drive(self, name: str) -> SimulatedDrive:
-        return self.rack.drives[next(axis.node_id for axis in self.axes if axis.name == name)]
-
-    def after(self, seconds: float, what: Callable[[], None]) -> None:
-        self.clock.at(self.clock.now() + seconds, what)
-
-    def close(self) -> None:
-        self.group.close()
-        self.rack.close()
-
-
-@pytest.fixture
-def build() -> Iterator[Callable[..., Machine]]:
-    built: list[Machine] = []
-
-    def make(*axes: AxisConfig, **drive: Any) -> Machine:
-        built.append(Machine(*axes, **drive))
-        return built[-1]
-
-    yield make
-    for machine in built:
-        machine.close()
-
-
-@pytest.fixture
-def machine(build: Callable[..., Machine]) -> Machine:
-    """Started, all axes at zero counts: slide 0 m, lift 0 m, slew 0.5 rad."""
-    m = build()
-    m.group.start()
-    return m
-
+from simulators.drive import Identity, Power
+from tests.unit.axes.rack import LIFT, SLEW, SLIDE, Machine
 
 # moving
 
