@@ -244,7 +244,7 @@ def springs(model: Model, strengths: Array) -> Array:
     theta, at = np.zeros(len(strengths)), 0
     for term in model.terms:
         size = len(term.parameters(model.machine.frame_names))
-        if isinstance(term, Compliance):
+        if isinstance(term, Compliance) and term.elements:
             each = size // len(term.elements)
             for k, (a, b) in enumerate(term.elements):
                 if a == b:

@@ -97,8 +97,8 @@ def evaluate(
 
     Where it carries effects also how many visits are among its own, how many of its own this recording goes on from,
     how many are at temperatures that its effects were never measured at, and how many so long before or after that
-    what runs on with time is not carried on to them; where structure without a name, how many visits lie where nothing
-    is known of it."""
+    what runs on with time is not carried on to them, or what runs on where no time is known (`untimed`); where
+    structure without a name, how many visits lie where nothing is known of it."""
     left = nominal_residuals(recording, machine, refit_base)
     nominal = figures(left)
     left = left if calibration is None else residuals(recording, calibration, refit_base)
@@ -122,6 +122,8 @@ def evaluate(
     running = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if c.function in COURSES})
     if running and (held := int((context.clock != context.hours)[rows].sum())):
         answer["held_in_time"] = {"effects": running, "visits": held}
+    if running and not answer["identified_from_it"] and not np.isfinite(recording.time).all():
+        answer["untimed"] = running
     if any(e.name == UNNAMED for e in calibration.effects):
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer

@@ -141,6 +141,12 @@ class Machine:
         raise MachineFileError(f"{self.file}: no point named '{name}' (there are: {known})")
 
     @property
+    def up(self) -> Array:
+        """(3,) against gravity; where a file says that there is none, the base frame's z."""
+        size = float(np.linalg.norm(self.gravity))
+        return -self.gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+
+    @property
     def where_it_counts(self) -> str:
         """The point at which accuracy is asked for unless somebody says otherwise: `treatment`, else the first point of
         the file, or the tip."""

@@ -52,8 +52,9 @@ def load_text(case: LoadCase) -> str:
 
 
 def word(text: str) -> str:
-    """A text as YAML has it: in quotes where it would be read as something else."""
-    return str(yaml.safe_dump(text, width=1000, allow_unicode=True)).splitlines()[0]
+    """A text as YAML has it, also between braces: in quotes where it would be read as something else."""
+    listed = str(yaml.safe_dump([text], width=100_000, allow_unicode=True, default_flow_style=True))
+    return listed.strip().removeprefix("[").removesuffix("]")
 
 
 def _work(design: Design) -> str:

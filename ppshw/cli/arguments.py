@@ -52,7 +52,7 @@ def pairs(words: Sequence[str] | None, names: Sequence[str], what: str, of: str)
     """NAME=NUMBER words; names: those of a joint, say."""
     out = {}
     for word in words or ():
-        name, _, text = word.strip().partition("=")
+        name, _, text = word.strip().rpartition("=") if "=" in word else (word.strip(), "", "")
         if name not in names:
             raise BadInput(f"{what}: no {of} named '{name}', expected one of {', '.join(names) or 'none'}")
         if name in out:

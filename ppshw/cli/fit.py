@@ -147,6 +147,9 @@ def evaluate(a: argparse.Namespace) -> None:
     if held := answer.get("held_in_time"):
         lines.append(f"{held['visits']} visits so long before or after the calibration's own that nobody knows how far "
                      f"{' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
+    if untimed := answer.get("untimed"):
+        lines.append(f"no column time: {' and '.join(untimed)} taken as if these visits had followed at once on the "
+                     "calibration's own")  # fmt: skip
     for u in answer.get("unexplained", ()):
         over = columns_listed([column_of(name) for name in u["covariates"]])
         lines.append(f"corrected without a name over {over}, by which unsure to "

@@ -57,8 +57,12 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
     felt = {place for effect in calibration.effects for place in effect.places}
+    unnamed = {name for effect in calibration.effects for name in effect.unnamed_over}
     for place in sorted(_temperatures(a, calibration).keys() - felt):
-        warnings.append(f"--temperature {place}: no effect here goes with it, it changes nothing")
+        if f"temp_{place}_C" in unnamed:
+            warnings.append(f"--temperature {place}: what goes with it has no name, and no axis is driven by it")
+        else:
+            warnings.append(f"--temperature {place}: no effect here goes with it, it changes nothing")
     return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
 
 

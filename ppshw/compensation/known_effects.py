@@ -101,7 +101,9 @@ class KnownEffects:
 
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
         if effect.name == UNNAMED:
-            return False, "nothing says that it stays: no axis is driven by it, nor by what it would change"
+            places = [name[5:-2] for name in effect.unnamed_over if name.startswith("temp_") and name.endswith("_C")]
+            why = "nothing says that it stays: no axis is driven by it, nor by what it would change"
+            return False, "; ".join([why, *self._beyond(places, now, "how large it is there nothing says")])
         if effect.of_instrument:
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if any(c.function == "hopping" for c in effect.columns):
@@ -132,11 +134,17 @@ class KnownEffects:
         lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
         if lag > 0 and not any(m.temperatures for m in past.moments):
             reserve.append(f"lags by {lag:g} h: taken as steady")
-        for place, (low, high) in self._seen_between.items():
-            if place in effect.places and is_beyond(np.asarray(now.temperatures[place]), low, high):
-                how = f"the {low:.1f} to {high:.1f} °C at which it was measured"
-                reserve.append(f"{place} is beyond {how}; carried on as it was")
+        reserve += self._beyond(effect.places, now, "carried on as it was")
         return True, "; ".join(reserve)
+
+    def _beyond(self, places: Sequence[str], now: Moment, what: str) -> list[str]:
+        """A line for each of these thermometers that stands where it never stood while effects were measured."""
+        return [
+            f"{place} is beyond the {low:.1f} to {high:.1f} °C at which it was measured; {what}"
+            for place, (low, high) in self._seen_between.items()
+            if place in places and place in now.temperatures
+            and is_beyond(np.asarray(now.temperatures[place]), low, high)
+        ]  # fmt: skip
 
     # --- what they do --------------------------------------------------------------------------------------
     def errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:

@@ -29,7 +29,7 @@ from ppshw.errors import RecordingError
 from ppshw.free_memory import give_back
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.own_weight import fitted
-from ppshw.identification.plausible import misread
+from ppshw.identification.plausible import misread, without_gross_errors
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -67,6 +67,7 @@ def diagnose(
     Raises RecordingError when the recording is too short to tell.
     """
     _refuse_too_few(recording)
+    recording = _without_what_was_wanted(recording)
     wrong_loads = misread(machine, recording)
     odd, rows = np.flatnonzero(wrong_loads & recording.measured), np.flatnonzero(~wrong_loads)
     recording = recording.subset(rows)
@@ -114,6 +115,12 @@ def diagnose(
     return Diagnosis(answer, space, carried.found)
 
 
+def _without_what_was_wanted(recording: Recording) -> Recording:
+    """A corrected run's own columns cov_wanted_<joint> are its setpoints once more, and no covariate."""
+    wanted = {f"wanted_{joint}" for joint in recording.joint_names}
+    return replace(recording, covariates={k: v for k, v in recording.covariates.items() if k not in wanted})
+
+
 def _refuse_too_few(recording: Recording) -> None:
     if (visits := int(recording.measured.sum())) < LEAST_VISITS:
         raise RecordingError(
@@ -126,13 +133,14 @@ def _believed(
 ) -> tuple[Workspace, GrossErrors, Array | None]:
     """The base model of the visits that are not simply wrong, which ones are, and what calms the scatter there is."""
     everything = recording.measured
-    base = fitted(machine, recording.subset(everything), recording.subset(everything))
+    near, surely = without_gross_errors(machine, recording)
+    base = fitted(machine, near.subset(~surely & near.measured), near.subset(everything))
     machine = replace(machine, bent_by=base.model.machine.bent_by)
     space = prepare(machine, recording, everything, base)
     # what swings more than the rest counts less, or its visits would be called wrong
-    calming = _calming(space, without, seed)
+    calming = _calming(space.with_fit(everything & ~surely) if surely.any() else space, without, seed)
     calmed = space if calming is None else prepare(machine, recording, everything, space.base, calming)
-    gross = gross_errors(calmed)
+    gross = gross_errors(calmed, surely)
     if gross.visits or gross.at_a_place:
         space = prepare(machine, recording, gross.others(recording), None, None, gross.at_a_place)
         # beside one that is metres off its neighbours looked wrong too
@@ -220,7 +228,7 @@ def _answer(
     visits that are."""
     named = [f for f in found if f.name[0] != "nameless"]
     left = [f for f in found if f.name[0] == "nameless"]
-    findings = wrong + [finding(free, tried, f) for f in _each_once(tried, named)]
+    findings = wrong + [finding(free, tried, f, more) for f, more in _each_once(tried, named)]
     unexplained = left_at_a_place(space, gross)
     if scatter is not None and not unnamed:
         findings.append(scatter.finding)
@@ -243,17 +251,20 @@ def _answer(
     return answer, carried
 
 
-def _each_once(tried: Tried, found: list[Found]) -> list[Found]:
-    """One finding per effect and joint: what was taken up later under the same name there mends its form, but for
-    another reflector, another joint that a coupling goes with, and a wave of another period."""
-    kept: list[Found] = []
+def _each_once(tried: Tried, found: list[Found]) -> list[tuple[Found, list[Found]]]:
+    """One finding per effect and joint, with its further pieces: what was taken up later under the same name there
+    mends its form, but for another reflector, another joint that a coupling goes with, and a wave of another period."""
+    kept: list[tuple[Found, list[Found]]] = []
     for f in found:
         mine = tried.candidates[f.best]
-        theirs = [tried.candidates[g.best] for g in kept if g.name == f.name]
-        if f.name[0] in BY_CAUSE:
-            theirs = [k for k in theirs if k.covariate == mine.covariate]
-        if not any(of_one_wave(k.shape.get("period"), mine.shape.get("period")) for k in theirs):
-            kept.append(f)
+        for g, more in kept:
+            other = tried.candidates[g.best]
+            apart = f.name[0] in BY_CAUSE and other.covariate != mine.covariate
+            if g.name == f.name and not apart and of_one_wave(other.shape.get("period"), mine.shape.get("period")):
+                more.append(f)
+                break
+        else:
+            kept.append((f, []))
     return kept
 
 

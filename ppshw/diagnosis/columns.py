@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.evaluation import by_visit
-from ppshw.identification.joint import estimate
-from ppshw.identification.plausible import LOADED_N, LOADED_NM, is_another_machine, misfit, refuse_another_machine
+from ppshw.identification.joint import Estimate, estimate
+from ppshw.identification.own_weight import fitted
+from ppshw.identification.plausible import LOADED_N, LOADED_NM, is_another_machine, misfit, without_gross_errors
 from ppshw.identification.start import to_base
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import frames, point_positions
@@ -110,13 +111,15 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     RecordingError where the recording can be none of this machine's even so.
     """
     recording, found = plain_mistakes(machine, recording)
-    refuse_another_machine(machine, recording)
+    sound, _ = without_gross_errors(machine, recording)
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return recording, found
-    _, (given, other), sure = _by_either_sign(recording, lambda r: _left(machine, r))
+    _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r))
+    if sure:  # other weights than those that bend the machine may look so too
+        _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, fitted))
     forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
     if forces is None and sure:
-        alone, less = min(((k, _turned(machine, recording, k)) for k in MOMENTS), key=lambda pair: pair[1])
+        alone, less = min(((k, _turned(machine, sound, k)) for k in MOMENTS), key=lambda pair: pair[1])
         columns, after = ((alone,), less) if TOLD * less < other else (MOMENTS, float(other))
         found.append(Mistake(_named(columns), -1.0, SIGN[-1.0], float(given), after))
         return _times(recording, columns, -1.0), found
@@ -197,7 +200,7 @@ def _by_either_sign(recording: Recording, left: Callable[[Recording], Array]) ->
 
 def _turned(machine: Machine, recording: Recording, column: int) -> float:
     """What is left with the sign of one column turned alone, rms [m] with the farthest as far as the others."""
-    left = _left(machine, _times(recording, (column,), -1.0))
+    left = _left(machine, _times(recording, (column,), -1.0), fitted)
     left = left[np.isfinite(left)]
     return float(np.sqrt((np.minimum(left, np.quantile(left, FARTHEST)) ** 2).mean()))
 
@@ -351,11 +354,17 @@ def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mist
         yield Mistake(_named(MOMENTS), 1e-3, what, lever, 1e-3 * lever), _times(recording, MOMENTS, 1e-3)
 
 
-def _left(machine: Machine, recording: Recording) -> Array:
+def _plainly(machine: Machine, sound: Recording, recording: Recording) -> Estimate:
+    return estimate(joint_model(machine, sound), recording)
+
+
+def _left(
+    machine: Machine, recording: Recording, fit_to: Callable[[Machine, Recording, Recording], Estimate] = _plainly
+) -> Array:
     """(V,) rms [m] of what the base model of half of the blocks leaves of every visit of the others."""
     some = recording.subset(np.linspace(0, len(recording) - 1, min(ASKED, len(recording))).astype(int))
     fit = np.arange(len(some)) // IN_A_ROW % 2 == 0
-    base, others = estimate(joint_model(machine, some), some.subset(fit)), some.subset(~fit)
+    base, others = fit_to(machine, some, some.subset(fit)), some.subset(~fit)
     missed = to_base(others.points, base.measuring_in_base) - base.model.predict(Situation.of(others), base.theta)
     return by_visit(missed)
 

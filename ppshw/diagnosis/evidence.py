@@ -45,6 +45,7 @@ NEARLY_A_TIE = 0.5  # of log evidence
 MOST_OF_NOISE = 15.0  # times its mean square: farther off a visit is simply wrong, however heavy the tails are
 TURNED = 0.02  # share of coefficients whose sign is the other than physics says
 ROUNDING = 1e-9  # of a Cholesky factor's diagonal
+LED = 3.0  # by so much a first column must say more with the others than they do without: else they are no part of it
 CHUNK = 512  # candidates at a time
 Name = tuple[str, str | None]
 Single = NDArray[np.float32]
@@ -94,6 +95,7 @@ class Tried:
             of_size.setdefault(len(columns_of), []).append(c)
         self._batches = [Batch(np.array(of), np.array([index[c] for c in of])) for _, of in sorted(of_size.items())]
         self._way = np.array([k.way for k in candidates], dtype=float)
+        self._led = np.array([k.led for k in candidates], dtype=bool)
         self.log_share = np.log([max(k.share, 1e-300) for k in candidates])
         self.names: list[Name] = list(dict.fromkeys((k.effect, k.joint) for k in candidates))
         position = {n: j for j, n in enumerate(self.names)}
@@ -209,6 +211,9 @@ class Tried:
             out[which] = self._evidence(info[part], its_scores)
             if self._way[which].any():
                 out[which] += _of_its_sign(self._way[which], info[part, 0, :1], its_scores[:, 0])
+            if (led := self._led[which]).any():
+                adds = out[which[led]] - self._evidence(info[part][led, 1:, 1:], its_scores[led, 1:])
+                out[which[led]] = np.where(adds > LED, out[which[led]], adds)
 
         side_by_side(of_part, range(len(parts)))
         return out.T

@@ -78,21 +78,25 @@ class GrossErrors:
         ]  # fmt: skip
 
 
-def gross_errors(space: Workspace) -> GrossErrors:
+def gross_errors(space: Workspace, surely: Mask | None = None) -> GrossErrors:
     """Visits whose residual noise cannot make, by χ² with Bonferroni's correction on a robust scale; p of the worst is
-    by noise of the tails that the others are likeliest of."""
+    by noise of the tails that the others are likeliest of.
+
+    surely  (N,) visits with a reading that no error of a machine explains, wherever they are
+    """
     weights = np.maximum(space.base.weights, 1e-3)
     residual = corrected_residual(space) / np.sqrt(weights)[:, None]
     freedom = 3 * space.recording.seen.sum(axis=1)[space.fit]
     distance = (residual**2).sum(axis=1)
     scale = _scale(distance, freedom)
     far = (distance > _limit(space, distance, freedom, scale)) | _too_many(distance, freedom)
-    if far.mean() > 0.1 or not _wrong(far, distance, freedom, scale):
-        return GrossErrors()
-    visits = np.flatnonzero(space.fit)[far]
+    sure = np.zeros(len(far), dtype=bool) if surely is None else surely[space.fit]
+    if (far & ~sure).mean() > 0.1 or not _wrong(far, distance, freedom, scale):
+        far = np.zeros(len(far), dtype=bool)
+    visits = np.flatnonzero(space.fit)[far & ~sure]
     together, place, by_chance = _at_a_place(space, visits)
     found = GrossErrors(at_a_place=tuple(int(v) for v in visits[together]), place=place, p_place=by_chance)
-    visits = visits[~together]
+    visits = np.sort(np.concatenate([visits[~together], np.flatnonzero(space.fit)[sure]]))
     if not len(visits):
         return found
     left = space.residual()[visits].reshape(-1, 3)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, coefficients
+from ppshw.diagnosis.found import Found, by_its_own_form, coefficients, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.nameless.rival import most_alike
@@ -32,10 +32,13 @@ WEIGHT_TOLD = 0.1  # on the terminal
 LEAST_P = 1e-12
 
 
-def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
-    """One finding of the contract's §4; `space` has all findings taken up."""
+def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found] = ()) -> dict[str, Any]:
+    """One finding of the contract's §4; `space` has all findings taken up. Parameters are of its first piece, its size
+    is that of all."""
     candidate = tried.candidates[found.best]
     rms = coefficients(space, candidate, found)[2]
+    if pieces:
+        rms = space.rms(np.sum([moved_by(space, tried.candidates[g.best], g) for g in (found, *pieces)], axis=0))
     values, covariance = by_its_own_form(space, candidate, found)
     if found.pulled is not None:
         covariance = covariance + found.pulled @ found.pulled.T
@@ -62,8 +65,16 @@ def finding(space: Workspace, tried: Tried, found: Found) -> dict[str, Any]:
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
         "aliases": [alias.as_dict() for alias in aliases],
-        "sentence": sentence(space.context, candidate, values, rms) + alias_words(found.name, aliases),
+        "sentence": sentence(space.context, candidate, values, rms) + _and_in(tried, candidate, pieces)
+        + alias_words(found.name, aliases),
     }
+
+
+def _and_in(tried: Tried, candidate: Candidate, pieces: Sequence[Found]) -> str:
+    """In which other directions of its frame an effect acts, in words."""
+    theirs = dict.fromkeys(tried.candidates[g.best].component for g in pieces)
+    ways = [f"{'about' if c[0] == 'r' else 'along'} {c[1]}" for c in theirs if c and c != candidate.component]
+    return f" It acts {' and '.join(ways)} too." if candidate.component and ways else ""
 
 
 def _by_its_thermometer(candidate: Candidate, values: Array) -> Candidate:

@@ -32,7 +32,7 @@ GROSS, GROSS_M = 20.0, 0.05
 LOADED_N, LOADED_NM = 20.0, 5.0
 # A wrench off by 20 times the median of its load label, and by more than that, is misread: single rows of many, or the
 # label is of several loads.
-KELVIN_C = 200.0  # no machine is measured so warm
+KELVIN_C, FAHRENHEIT_C = 200.0, 45.0  # no machine is measured so warm, and in no air so warm
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 # Noise at the reflectors of 110 recordings with all their columns was 0.9 to 4.1 times the stated repeatability's rms.
 NOISIER = 6.0
@@ -114,8 +114,11 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"({listed(recording.copies)}): are these rows copies?"
         )
     for place, values in recording.temperatures.items():
-        if np.isfinite(values).any() and (middle := float(np.nanmedian(values))) > KELVIN_C:
+        middle = float(np.nanmedian(values)) if np.isfinite(values).any() else 0.0
+        if middle > KELVIN_C:
             said.append(f"temp_{place}_C reads {middle:.0f} °C; are these kelvin?")
+        elif place == "air" and middle > FAHRENHEIT_C:
+            said.append(f"temp_{place}_C reads {middle:.0f} °C; is that degrees Fahrenheit?")
     if len(rows := np.flatnonzero(misread(machine, recording))):
         loads = ", ".join(dict.fromkeys(f"'{recording.load[k]}'" for k in rows))
         said.append(
@@ -158,7 +161,7 @@ def _where_it_was_not_sent(machine: Machine, recording: Recording) -> list[str]:
     for k, joint in enumerate(machine.joints):
         q, sent = recording.q[:, k], recording.q_cmd[:, k]
         off = float(np.median(np.abs(q - sent)))
-        if not off > ELSEWHERE * float(np.ptp(sent)):
+        if not np.ptp(sent) or not off > ELSEWHERE * float(np.ptp(sent)):  # of one place nobody can say what is far
             continue
         said = f"half of q_{joint.name} is {off:.4g} {joint.unit} or more from q_cmd_{joint.name}"
         late = {rows: float(np.median(np.abs(np.roll(q, -rows) - sent))) for rows in (1, -1)}

@@ -19,11 +19,15 @@ MOST_VECTOR_MARKS = 400  # more marks than this are drawn as pixels, or the page
 AXES = "xyz"
 
 
-def error_plane(before: Array | None, after: Array | None, point: str, plane: tuple[int, int], near: bool) -> Picture:
+def error_plane(
+    before: Array | None, after: Array | None, point: str, plane: tuple[int, int], near: bool,
+    label: str = "compensated",
+) -> Picture:  # fmt: skip
     """Figure 10: errors in one plane with the circle of the tolerance.
 
     before, after  (N, 3) errors [m], None where not measured
     near           close up on the circle instead of everything
+    label          what `after` is called
     """
     a, b = plane
     name = f"{AXES[a]}–{AXES[b]}"
@@ -32,7 +36,7 @@ def error_plane(before: Array | None, after: Array | None, point: str, plane: tu
         if before is not None:
             ax.plot(*_mm(before)[:, plane].T, "o", ms=3.6, mfc="none", mew=0.8, color=BEFORE, label="not compensated")
         if after is not None:
-            ax.plot(*_mm(after)[:, plane].T, "x", ms=4.2, mew=0.9, color=AFTER, label="compensated")
+            ax.plot(*_mm(after)[:, plane].T, "x", ms=4.2, mew=0.9, color=AFTER, label=label)
         ax.add_patch(Circle((0, 0), TOLERANCE_MM, fill=False, lw=1.2, color=INK))
         ax.plot([], [], "o", ms=9, mfc="none", mew=1.2, color=INK, label=f"radius {TOLERANCE_MM:g} mm")
         reach = _reach(after if near else before if before is not None else after, near)

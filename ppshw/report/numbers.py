@@ -53,7 +53,12 @@ class Numbers:
     @property
     def best(self) -> str:
         """The case that stands for compensation: with what a diagnosis found, where that was tried."""
-        return "extended" if "extended" in self.accuracy else "compensated"
+        return "extended" if self.extended else "compensated"
+
+    @property
+    def extended(self) -> bool:
+        """Whether setpoints with what a diagnosis found were tried."""
+        return "extended" in self.accuracy
 
 
 def compute(contents: Contents) -> Numbers:

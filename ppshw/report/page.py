@@ -98,7 +98,7 @@ def render(contents: Contents, now: datetime) -> str:
 def headline(contents: Contents, numbers: Numbers) -> str:
     """One sentence with the numbers that matter, of those that there are."""
     before, after = numbers.accuracy.get("uncompensated"), numbers.accuracy.get(numbers.best)
-    base = numbers.accuracy.get("base", {})
+    base = numbers.accuracy.get("base") or (numbers.accuracy.get("compensated", {}) if numbers.extended else {})
     again = numbers.repeatability
     end = f", with a repeatability of {mm(again['p98_6_mm'])}." if again else "."
     at = f"at the point ‘{contents.point}’"
@@ -106,10 +106,11 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         factor = before["p98_6_mm"] / after["p98_6_mm"] if after["p98_6_mm"] > 0 else math.inf
         visits = f" on {after['visits']:.0f} configurations" if "visits" in after else ""
         on = f"{visits} that the identification did not use" if visits and numbers.unseen else visits
+        with_it = ", with what the diagnosis found" if numbers.extended else ""
         alone = f" ({mm(base['p98_6_mm'])} with the base calibration alone)" if "p98_6_mm" in base else ""
         return (
             f"Compensation brings 98.6 % of the errors {at} from within {mm(before['p98_6_mm'])} to within "
-            f"{mm(after['p98_6_mm'])}{alone}, a factor of {factor:.0f}{on}{end}"
+            f"{mm(after['p98_6_mm'])}{with_it}{alone}, a factor of {factor:.0f}{on}{end}"
         )
     one = after or before
     if one and "p98_6_mm" in one:
@@ -151,9 +152,10 @@ def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Se
     before, after = numbers.errors.get("uncompensated"), numbers.errors.get(numbers.best)
     out: list[Section] = []
     if before is not None or after is not None:
-        planes = [figures.error_plane(before, after, contents.point, p, False) for p in ((0, 1), (1, 2))]
+        marks = "with findings" if numbers.extended else "compensated"
+        planes = [figures.error_plane(before, after, contents.point, p, False, marks) for p in ((0, 1), (1, 2))]
         if after is not None:
-            planes += [figures.error_plane(None, after, contents.point, p, True) for p in ((0, 1), (1, 2))]
+            planes += [figures.error_plane(None, after, contents.point, p, True, marks) for p in ((0, 1), (1, 2))]
         out.append(Section(
             f"Errors at ‘{contents.point}’",
             "Measured minus wanted position of the point, in the base frame, one mark per visit "
@@ -162,7 +164,7 @@ def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Se
         ))  # fmt: skip
         spread = []
         if after is not None:
-            spread.append(figures.radial_distribution(after, "Distribution of the residual errors", "visits"))
+            spread.append(figures.radial_distribution(after, f"Distribution of the residual errors, {marks}", "visits"))
         if before is not None:
             spread.append(figures.radial_distribution(
                 before, "Distribution of the errors without compensation", "visits", BEFORE, limit=False

@@ -59,6 +59,11 @@ class Effect:
         """The places whose temperature it goes by, each once."""
         return list(dict.fromkeys(str(c.args["place"]) for c in self.columns if c.args.get("place")))
 
+    @property
+    def unnamed_over(self) -> list[str]:
+        """The recording's columns that a correction without a name goes by, each once."""
+        return list(dict.fromkeys(name for c in self.columns for name in c.args.get("names", ())))
+
     def as_dict(self) -> dict[str, Any]:
         return {
             "effect": self.name, "joint": self.joint, "sentence": self.sentence,

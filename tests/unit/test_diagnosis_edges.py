@@ -17,8 +17,10 @@ import yaml
 
 from ppshw.calibration import load_calibration
 from ppshw.cli import main
+from ppshw.diagnosis import diagnose
 from ppshw.identification.plausible import noisier_than_stated
 from ppshw.machine import load_machine
+from ppshw.recording import load_recording
 from simulators.concealed.case import make_case
 
 VISITS = 48
@@ -145,6 +147,44 @@ def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Ca
     answer = answered(case, tmp_path)
     assert answer["visits"] == VISITS - 1  # the one of which nothing was seen says nothing
     assert {"backlash", "drift"} <= effects(answer)
+
+
+def test_a_beam_that_reads_zeros_again_and_again_is_set_aside(case: Case, tmp_path: Path) -> None:
+    """Of 4 % of the visits and more nothing was left, as the signs of moments were asked of them too."""
+    for row in case.rows[5::20]:
+        for axis in "xyz":
+            row[case.column(f"P1_{axis}")] = "0"
+    said = [f for f in answered(case, tmp_path)["findings"] if f["effect"] == "outliers"]
+    assert "5, 25, 45" in said[0]["sentence"]
+
+
+def test_a_tracker_that_stands_elsewhere_than_its_file_says_is_refused_as_by_identify(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case.machine.setdefault("tracker", {})["base"] = {"xyz": [3.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}
+    where = written(case, tmp_path)
+    said = []
+    for command in ("identify", "diagnose"):
+        assert main([command, *where, "--out", str(tmp_path / "cal.json")]) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1]
+    assert "or is `tracker.base: estimate` wanted there?" in said[0]
+    assert not (tmp_path / "cal.json").exists()
+
+
+def test_what_a_corrected_run_wanted_is_no_covariate(case: Case, tmp_path: Path) -> None:
+    joints = [joint["name"] for joint in case.machine["joints"]]
+    for name in joints:
+        at = case.column(f"q_cmd_{name}")
+        case.rows[0].append(f"cov_wanted_{name}")
+        for row in case.rows[1:]:
+            row.append(f"{float(row[at]) - 1e-3 * math.sin(3 * float(row[at])):.9f}")
+    where = written(case, tmp_path)
+    machine = load_machine(where[2])
+    recording = load_recording(where[0], machine)
+    assert set(recording.covariates) >= {f"wanted_{name}" for name in joints}
+    found = diagnose(machine, recording)
+    assert not any("wanted" in name for name in found.space.recording.covariates)
 
 
 def test_too_few_visits_are_refused_with_their_number(

@@ -170,6 +170,12 @@ def test_what_runs_on_with_time_is_not_carried_on_to_where_nobody_knows(hours: f
     assert ("held_in_time" in answer) == (hours in (-50.0, -1.5, 30.0))
 
 
+def test_what_runs_on_is_said_to_where_no_time_is_known() -> None:
+    untimed = replace(later().subset(np.array([30])), time=np.array([np.nan]))
+    assert evaluate(untimed, base().machine, running_on())["untimed"] == ["drift"]
+    assert "untimed" not in evaluate(later().subset(np.array([30])), base().machine, running_on())
+
+
 def test_another_load_under_a_label_stays_another() -> None:
     first = whole().subset(np.arange(VISITS) < FIRST)
     recording = replace(later(), load=(first.load[-1],) * (VISITS - FIRST))

@@ -126,7 +126,7 @@ def test_a_good_visit_that_looked_wrong_beside_a_bad_one_comes_back(
     bad: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where nothing is found at last: good neighbours of a reading that was 17 m off stayed set aside."""
-    monkeypatch.setattr(diagnosis, "gross_errors", lambda _: GrossErrors(visits=(BAD, BAD + 1, BAD + 2)))
+    monkeypatch.setattr(diagnosis, "gross_errors", lambda *_: GrossErrors(visits=(BAD, BAD + 1, BAD + 2)))
     said = diagnose(bad.machine, bad.recording).answer["findings"]
     assert [(f["effect"], f["region"], f["visits"]) for f in said] == [("outliers", [BAD + 1, BAD + 1], [BAD + 1])]
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
-from ppshw.compensation.past import Moment
+from ppshw.compensation.known_effects import KnownEffects
+from ppshw.compensation.past import Moment, Past
 from ppshw.errors import CalibrationError, CompensationRefused
 from ppshw.evaluation import evaluate
 from ppshw.identification import identify
@@ -576,6 +577,20 @@ def test_no_axis_is_driven_by_what_has_no_name() -> None:
     plain = asked(Compensator(base()[1])).corrected
     assert plain[VERTICAL] - found.corrected[VERTICAL] == pytest.approx(0.680 * 1e-4, rel=0.01)
     assert "no axis is driven by it" in found.effects[0].why
+
+
+@pytest.mark.parametrize(("air", "said"), [(21.0, False), (30.0, True)])
+def test_where_structure_over_a_temperature_was_never_measured_nothing_says_how_large_it_is(
+    air: float, said: bool
+) -> None:
+    where = {"names": ["temp_air_C"], "amplitude": [1e-4], "frame": VERTICAL + 1, "components": [TY]}
+    effect = Effect("unexplained", None, (Column("frames", "unexplained", where, VERTICAL + 1),), (0.0,), (1.0,), "")
+    known = KnownEffects([effect], base()[1].model, base()[1].theta, {}, np.eye(4), {"air": (19.0, 25.0)})
+    moment = Moment(POSE, np.zeros(6, dtype=int), payload(), temperatures={"air": air})
+    why = known.verdicts(moment, Past())[0].why
+    assert why.startswith("nothing says that it stays")
+    assert why.endswith("; air is beyond the 19.0 to 25.0 °C at which it was measured; how large it is there nothing "
+                        "says") == said  # fmt: skip
 
 
 def test_a_shifted_zero_is_taken_as_it_was_left() -> None:

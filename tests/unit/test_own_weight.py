@@ -16,7 +16,6 @@ from ppshw.diagnosis import diagnose
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
 from ppshw.identification import identify
-from ppshw.identification.own_weight import towards
 from ppshw.kinematics import frames
 from ppshw.machine import BentBy, Machine, load_machine
 from ppshw.recording import Recording, load_recording
@@ -89,8 +88,6 @@ def test_a_recording_says_whose_weights_bend_a_joint(measured: Measured, tmp_pat
     machine, recording, bent_by = measured
     found = identify(machine, recording)
     assert found.model.machine.bent_by == bent_by
-    for way, std in towards(found, recording, *({*PLANTS} - {bent_by})):
-        assert abs(way) < 4 * std < 0.5
     calibration = Calibration.of(found, recording, "joint")
     calibration.save(tmp_path / "cal.json")
     back = load_calibration(tmp_path / "cal.json", machine)

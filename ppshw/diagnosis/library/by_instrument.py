@@ -27,7 +27,9 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5 * likely)
         # about another point than where the instrument is said to stand: everything shifts with the temperature as well
         shifts = tuple(Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3))
-        yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3 * likely)
+        yield Candidate(
+            "tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3 * likely, led=True
+        )
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
             late, lag = Column("points", "scale", {"place": place, "tau": tau}), {"lag_h": tau}
             yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), lag, share=0.05 * likely)

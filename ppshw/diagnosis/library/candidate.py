@@ -14,7 +14,8 @@ from ppshw.terms.shapes import Column
 class Candidate:
     """effect: the contract's name, or "nameless"; joint, frame, component, covariate: where it sits;
     columns: what it adds; shape: its nonlinear parameters; share: prior weight; covariates: of what has no name;
-    way: the sign that physics gives its first coefficient, 0 where it gives none."""
+    way: the sign that physics gives its first coefficient, 0 where it gives none; led: its other columns are nothing
+    without the first."""
 
     effect: str
     joint: str | None
@@ -26,6 +27,7 @@ class Candidate:
     share: float = 1.0
     covariates: tuple[str, ...] = ()
     way: int = 0
+    led: bool = False
 
 
 @contextmanager

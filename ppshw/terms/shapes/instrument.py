@@ -48,7 +48,7 @@ def refraction(c: Context, place: str, part: int) -> Array:
     distance from its origin (4): together with the squared distance from wherever the instrument stands. The beam does
     in air whose temperature changes with height."""
     rays = c.points - c.measuring_in_base[:3, 3]
-    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    up = c.machine.up
     parts = (*np.moveaxis(rays, 2, 0), np.ones(rays.shape[:2]), (rays**2).sum(axis=2))
     return np.asarray((parts[part] * temperature(c, place, 0.0)[:, None])[..., None] * up)
 
@@ -62,7 +62,7 @@ def _rays(c: Context, place: str, tau: float = 0.0) -> Array:
 def seen_at(c: Context, angle: str) -> tuple[Array, Array]:
     """The angle at which the instrument sees every target (N, T), and how that moves as it grows (N, T, 3)."""
     rays = c.points - c.measuring_in_base[:3, 3]
-    up = -np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    up = c.machine.up
     ahead = c.measuring_in_base[:3, 0] if abs(c.measuring_in_base[:3, 0] @ up) < 0.9 else c.measuring_in_base[:3, 1]
     ahead = ahead - (ahead @ up) * up
     ahead /= np.linalg.norm(ahead)

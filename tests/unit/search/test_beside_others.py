@@ -635,7 +635,7 @@ def test_play_in_every_drive_is_a_finding_of_each(space: Workspace) -> None:
         sign = Column("frame", "approach", {"joint": k}, k + 1, own_component(c, k))
         moved += of_size(space, sign.evaluate(c), 3.0)
     found, tried = look(replace(space, data=space.data + moved), ["backlash"], NAME)
-    assert sorted(f.name for f in _each_once(tried, found)) == sorted(("backlash", name) for name in names)
+    assert sorted(f.name for f, _ in _each_once(tried, found)) == sorted(("backlash", name) for name in names)
 
 
 @pytest.mark.parametrize(("factor", "count"), [(0.37, 2), (0.98, 1)])
@@ -649,13 +649,28 @@ def test_two_screws_in_one_drive_are_two_findings_and_a_mended_wave_is_one(
     assert len(_each_once(tried, found)) == count
 
 
+def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size_of_both(space: Workspace) -> None:
+    c = space.context
+    ways = [of_size(space, Column("frame", "clock", {"form": "linear"}, 0, k).evaluate(c), 3.0) for k in (1, 5)]
+    there = replace(space, data=space.data + sum(ways))
+    some = [k for k in named(space, "drift") if not k.shape and k.component in ("ty", "rz") and len(k.columns) == 1]
+    tried = Tried(there, some, 5e-5)
+    found = [Found(k, tried.name(k), 0.0, 20.0, first=20.0) for k in range(2)]
+    take_up(there, tried, found)
+    (first, more), = _each_once(tried, found)
+    said = finding(there, tried, first, more)
+    assert said["sentence"].endswith(f" It acts {'about z' if said['component'] == 'ty' else 'along y'} too.")
+    assert said["rms_mm"] == pytest.approx(1e3 * space.rms(sum(ways)), rel=0.15)
+    assert finding(there, tried, first)["rms_mm"] < 0.9 * said["rms_mm"]
+
+
 def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
     shifts = [Column("points", "target_shift", {"target": t, "axis": t}) for t in (0, 1)]
     since = space.context.hours > np.median(space.context.hours)
     moved = sum(of_size(space, k.evaluate(space.context) * since[:, None], 4.0) for k in shifts)
     there = replace(space, data=space.data + moved)
     found, tried = look(there, ["target_moved"], NAME)
-    whose = {best_of(tried, f).covariate for f in _each_once(tried, found)}
+    whose = {best_of(tried, f).covariate for f, _ in _each_once(tried, found)}
     assert {f.name for f in found} == {("target_moved", None)}
     assert whose == set(space.machine.targets) - {list(space.machine.targets)[2]}
     said = [finding(there, tried, f) for f in found]

@@ -271,6 +271,21 @@ def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space:
     assert said["scale_per_K"]["value"] == pytest.approx(3e-5, rel=0.2)
 
 
+@pytest.mark.parametrize(("scale", "is_one"), [(0.0, False), (2e-5, True)])
+def test_what_shifts_with_the_air_is_a_scale_only_where_distances_grow_too(
+    space: Workspace, scale: float, is_one: bool
+) -> None:
+    """A link that moved with heat in two directions was a scale of 0.24 ± 1.0 ppm per kelvin, whose own place was 90 m
+    away, with 0.94."""
+    c = space.context
+    shifts = [Column("frame", "temperature", {"place": "air", "tau": 0.0}, 0, k).evaluate(c) for k in (1, 2)]
+    moved = 3.0 * of_size(space, shifts[0] - 0.7 * shifts[1], 1.0)
+    moved += scale * Column("points", "scale", {"place": "air"}).evaluate(c)
+    found, _ = look(replace(space, data=space.data + moved), ["tracker_scale"], "temp_air_C")
+    assert (("tracker_scale", None) in [f.name for f in found]) == is_one
+    assert found
+
+
 def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jumps_have_none(space: Workspace) -> None:
     """Drift between the same visits, in any direction, would fit as well, with more columns (other authors' cases)."""
     k = space.machine.joint_names.index("longitudinal")
