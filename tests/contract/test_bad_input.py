@@ -18,6 +18,8 @@ from typing import Any
 import pytest
 
 from ppshw.calibration import content_digest, load_calibration
+from ppshw.cli.arguments import pairs
+from ppshw.errors import BadInput
 from ppshw.machine import load_machine
 from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Column
@@ -127,6 +129,13 @@ MACHINES: dict[str, tuple[Spoil, str]] = {
     "cut off": (cut(0.6), ""),
     **FILES,
 }  # fmt: skip
+
+
+def test_a_name_with_an_equals_sign_is_a_name() -> None:
+    assert pairs(['a=b"c=-2', "x=3"], ["x", 'a=b"c'], "--approach", "joint") == {'a=b"c': -2.0, "x": 3.0}
+    for word, said in (("x", "no value, expected x=NUMBER"), ("y=1", "no joint named 'y'")):
+        with pytest.raises(BadInput, match=said):
+            pairs([word], ["x"], "--approach", "joint")
 
 
 @pytest.mark.parametrize("case", MACHINES)

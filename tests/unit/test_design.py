@@ -395,7 +395,8 @@ def test_of_many_weights_the_telling_few_are_found_one_by_one_too(pps: Machine) 
 
 def test_names_that_yaml_would_take_for_something_else_survive(small: Machine, tmp_path: Path) -> None:
     weights = tmp_path / "weights.yaml"
-    text = "loads: [{name: 'no', mass: 0}, {name: '12', mass: 30, com: [0, 0, 0.1]}, {name: 'a: b', mass: 50}]\n"
+    text = "loads: [{name: 'no', mass: 0}, {name: '12', mass: 30, com: [0, 0, 0.1]}, {name: 'a: b', mass: 50}, "
+    text += "{name: '<b> &,1', mass: 60}]\n"
     weights.write_text(f"name: weights\n{text}steps: [{{step: a, kind: random, count: 2}}]\n", encoding="utf-8")
     found = planned(small, tmp_path / "a.yaml", visits=30, loads=load_script(weights), name="1e3")
-    assert set(found.summary().loads) == {"no", "12", "a: b"}
+    assert set(found.summary().loads) == {"no", "12", "a: b", "<b> &,1"}

@@ -13,7 +13,7 @@ from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
 from campaigns.script import load_script
 from ppshw.errors import CampaignError
-from ppshw.machine import Machine
+from ppshw.machine import Elastic, Machine
 from tests.unit.small_campaign import RANDOM, planned, positioner
 
 SWEEPS = """name: sweeps
@@ -54,6 +54,12 @@ def test_one_joint_sweeps_are_blind_to_cross_joint_errors_and_random_poses_are_n
     assert min(shares(anywhere, "cross_coupling").values()) > 0.1  # 11 % there
     assert any(line.startswith("  cross_coupling of ") and "add random poses" in line for line in seen.warnings())
     assert not any("cross_coupling" in line for line in anywhere.warnings())
+
+
+def test_a_link_that_gives_way_to_no_load_at_all_is_foreseen_too(machine: Machine, tmp_path: Path) -> None:
+    """`elastic: {loads: []}` was a division by zero."""
+    stiff = replace(machine, joints=(replace(machine.joints[0], elastic=Elastic((), False)), *machine.joints[1:]))
+    assert foresee(planned(SWEEPS, stiff, tmp_path)).rows
 
 
 def test_a_single_load_shows_neither_creep_nor_clearance_nor_nonlinear_stiffness(seen: Foresight) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,12 @@ def test_the_least_that_a_file_must_say(tmp_path: Path) -> None:
     np.testing.assert_array_equal(machine.tracker.base, np.eye(4))
     assert machine.tracker.targets_known
     assert machine.sha256 == hashlib.sha256(LEAST.encode()).hexdigest()
+
+
+def test_up_is_against_gravity_and_along_z_where_there_is_none() -> None:
+    machine = load_machine(ROOT / "machines/pps.yaml")
+    np.testing.assert_allclose(machine.up, [0, 1, 0])
+    np.testing.assert_allclose(replace(machine, gravity=np.zeros(3)).up, [0, 0, 1])
 
 
 def test_rpy_turns_about_fixed_axes_x_then_y_then_z(tmp_path: Path) -> None:

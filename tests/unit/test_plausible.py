@@ -138,6 +138,18 @@ def test_an_encoder_s_column_that_is_one_row_late_is_said(measured: tuple[Machin
     assert "do these columns belong together?" in doubts(machine, replace(recording, q=q))[0]
 
 
+def test_of_a_joint_that_was_sent_to_one_place_nothing_is_far(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    assert doubts(machine, recording.subset(np.array([0]))) == []
+
+
+def test_air_in_degrees_fahrenheit_is_asked_about(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    felt = {"air": np.full(len(recording), 70.0), "motor": np.full(len(recording), 70.0)}
+    said = doubts(machine, replace(recording, temperatures=felt))
+    assert said == ["temp_air_C reads 70 °C; is that degrees Fahrenheit?"]
+
+
 def test_directions_of_approach_against_every_way_are_said(measured: tuple[Machine, Recording]) -> None:
     machine, recording = measured
     approach = recording.approach.copy()

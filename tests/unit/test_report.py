@@ -30,7 +30,7 @@ from ppshw.report import build_report
 from ppshw.report.contents import read_folder
 from ppshw.report.numbers import compute, fit
 from ppshw.report.page import headline
-from ppshw.report.tables import facts
+from ppshw.report.tables import facts, mm
 from ppshw.verification import point_errors, repeatability, returns_of
 from simulators.plant import Plant
 
@@ -414,6 +414,18 @@ def concealing(folder: Path) -> None:
     mine = compute(read_folder(folder)).accuracy
     rows = {"nominal": mine["uncompensated"], "base": mine["base"], "extended": mine["extended"]}
     (folder / "concealed.json").write_text(json.dumps({**HIDDEN, **rows}))
+
+
+def test_where_a_calibration_and_its_diagnosis_were_both_tried_the_page_says_which_is_which(copy: Path) -> None:
+    """The headline and the crosses were of the second, under the name of the first."""
+    shutil.copy(copy / "verification_nominal.db", copy / "verification_extended.db")
+    contents = read_folder(copy)
+    numbers = compute(contents)
+    base, extended = (mm(numbers.accuracy[case]["p98_6_mm"]) for case in ("compensated", "extended"))
+    said = headline(contents, numbers)
+    assert f"to within {extended}, with what the diagnosis found ({base} with the base calibration alone)" in said
+    build_report(copy, NOW)
+    assert "Distribution of the residual errors, with findings" in (copy / "report.html").read_text(encoding="utf-8")
 
 
 def test_what_a_demo_with_a_concealed_effect_left_is_all_on_the_page(copy: Path) -> None:
