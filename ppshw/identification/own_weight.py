@@ -3,8 +3,9 @@ says it, and recordings do.
 
 Bearings and drives stand behind a joint's motion and carry the link: its weight bends them. A link that is rigid at its
 joint and bends towards its end is bent by what lies beyond it alone, as paper eq. (15) may be read. Where weights are
-balanced the payload alone bends anything. Each way is fitted, strengths and noise learnt with it, and the likeliest fit
-stands. docs/decisions/own-weight.md.
+balanced the payload alone bends anything. Some visits are asked first, under the first fit's noise: each way's
+strengths are moved towards where they are likeliest. A way that is ahead there is fitted as a whole, and stands if that
+fit is the likelier one. docs/decisions/own-weight.md.
 """
 
 from __future__ import annotations
@@ -18,44 +19,67 @@ from scipy.linalg import cholesky, solve_triangular
 
 from ppshw.identification.joint import SET_ASIDE, Estimate, Progress, estimate
 from ppshw.identification.start import to_base
+from ppshw.identification.strengths import Groups, learn
 from ppshw.identification.structure import joint_model
+from ppshw.identification.visits import Linearisation
 from ppshw.machine import BentBy, Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 
 Array = NDArray[np.float64]
-# By how much another way must be likelier (log evidence). Of 46 recordings of machines whose links hang on their joints
-# the payload alone was less likely by 7 to 1,223; of 49 where it alone bends anything it was likelier by 5 to 1,247,
-# but in two whose effect acts as own weight does. The links beyond were likelier by up to 5: free compliances take up
-# much of what a link weighs.
+Index = NDArray[np.int64]
+# By how much the whole fit of another way must be likelier (log evidence). Of 46 recordings of machines whose links
+# hang on their joints the payload alone was less likely by 7 to 1,223; of 49 where it alone bends anything it was
+# likelier by 5 to 1,247, but in two whose effect acts as own weight does. The links beyond were likelier by up to 5:
+# free compliances take up much of what a link weighs.
 LIKELIER: dict[BentBy, float] = {"payload": 3.0, "beyond": 10.0}
 NOT_BENT = {
     "beyond": "of a link do not bend its own joint here, only those before it",
     "payload": "bend nothing here, the payload alone does",
 }
-FEWEST, MOST = 40, 1024  # visits that are asked
+FEWEST, ASKED, STEPS = 40, 256, 4  # visits that a recording needs; that are asked first; steps of the strengths there
 
 
 def fitted(machine: Machine, sound: Recording, recording: Recording, progress: Progress | None = None) -> Estimate:
     """The joint estimate of a recording, its model laid over the travel of the sound visits, of a machine that is bent
     as the recording says."""
 
-    def fit(way: BentBy, visits: Recording, tell: Progress | None = None) -> Estimate:
-        return estimate(joint_model(replace(machine, bent_by=way), sound), visits, progress=tell)
+    def fit(way: BentBy) -> Estimate:
+        return estimate(joint_model(replace(machine, bent_by=way), sound), recording, progress=progress)
 
-    found = fit(machine.bent_by, recording, progress)
-    measured = np.flatnonzero(recording.measured)
-    if len(measured) < FEWEST or not any(j.mass > 0 and j.elastic for j in machine.joints):
+    found = fit(machine.bent_by)
+    visits = np.flatnonzero(found.weights > SET_ASIDE)
+    if len(visits) < FEWEST or not any(j.mass > 0 and j.elastic for j in machine.joints):
         return found
-    whole = len(measured) <= MOST
-    asked = recording if whole else recording.subset(measured[:: -(-len(measured) // MOST)])
-    fits = {way: fit(way, asked) for way in LIKELIER if way != machine.bent_by}
-    known, *others = log_evidences([found if whole else fit(machine.bent_by, asked), *fits.values()], asked)
-    ahead = {way: log - known - LIKELIER[way] for way, log in zip(fits, others, strict=True)}
+    asked = visits[:: -(-len(visits) // ASKED)]
+    known = _moved_evidence(found, machine.bent_by, recording, asked)
+    ahead = {
+        way: _moved_evidence(found, way, recording, asked) - known - LIKELIER[way]
+        for way in LIKELIER if way != machine.bent_by
+    }  # fmt: skip
     likeliest = max(ahead, key=lambda way: ahead[way])
     if ahead[likeliest] <= 0.0:
         return found
-    return fits[likeliest] if whole else fit(likeliest, recording, progress)
+    other = fit(likeliest)
+    before, after = log_evidences([found, other], recording)
+    return other if after > before + LIKELIER[likeliest] else found
+
+
+def _moved_evidence(found: Estimate, way: BentBy, recording: Recording, visits: Index) -> float:
+    """Log marginal likelihood of some visits of a machine that is bent this way, linear about what was found, with its
+    noise; strengths from there a few steps on."""
+    model = replace(found.model, machine=replace(found.model.machine, bent_by=way))
+    groups, active = Groups.among(model.parameters()), found.theta != 0.0
+    about = Linearisation(model, recording, found.theta, found.measuring_in_base, visits)
+    size, squares = int(active.sum()), 0.0
+    gram, moment = np.zeros((size, size)), np.zeros(size)
+    for white in about.whitened(found.noise, found.weights[visits], active):
+        design, data = white.design.reshape(-1, size), white.data.ravel()
+        gram, moment, squares = gram + design.T @ design, moment + design.T @ data, squares + float(data @ data)
+    variances = np.array([found.groups[name] for name in groups.names]) ** 2
+    _, posterior = learn(gram, moment, groups, active, variances, STEPS)
+    taken = float(moment @ posterior.theta)
+    return float(np.log(np.diag(posterior.root) / posterior.prior).sum()) - 0.5 * (squares - taken)
 
 
 def log_evidences(fits: Sequence[Estimate], recording: Recording) -> list[float]:
