@@ -32,9 +32,7 @@ class Steadiness:
         strain gauges have noise."""
         frozen = reading.wrench if reading.samples > 1 and not reading.spread.any() else None
         if frozen is not None and self._frozen is not None and np.array_equal(frozen, self._frozen):
-            raise InstrumentFault(
-                name, "reads the very same in every frame of this visit and of the one before"
-            )
+            raise InstrumentFault(name, "reads the very same in every frame of this visit and of the one before")
         self._frozen = frozen
 
     def sway(self, reading: WrenchReading) -> str | None:
