@@ -49,9 +49,11 @@ class Stopping:
         """Quick stop to every axis: by process data and a SYNC, again and again while the bus takes none, then by SDO
         where that does not show within a drive's time."""
         self.unstopped = [axis.name for axis in self._axes()]
-        until = self._clock.now() + INSIST_S
+        pause, until = self._bus.config.sync_period, self._clock.now() + INSIST_S
         while not self.at_once() and self._clock.now() < until:
-            self._clock.sleep(self._bus.config.sync_period)
+            with self._bus.arrival:  # also what raised may have gone out
+                self._clock.wait_for(self._bus.arrival, lambda: False, pause)
+            pause = min(2.0 * pause, LOOK_S)
         try:
             suspects = self._suspects()
         except Exception as error:
