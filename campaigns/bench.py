@@ -26,6 +26,7 @@ from drivers.ports import (
 )
 from ppshw import kinematics
 from ppshw.errors import HardwareError
+from ppshw.interruptions import INTERRUPTIONS
 from ppshw.machine import Machine
 from ppshw.transforms import inverse
 
@@ -33,8 +34,6 @@ Array = NDArray[np.float64]
 # Joint values (n,) and a target's name → where the tracker should look (3,) [m, tracker frame].
 Aim = Callable[[Array, str], Array]
 
-# Windows has no SIGHUP and no SIGQUIT.
-INTERRUPTIONS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
 STANDARD_AIR = Atmosphere(temperature_c=20.0, pressure_hpa=1013.25, humidity_pct=50.0)
 
 

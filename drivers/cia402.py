@@ -421,9 +421,15 @@ class Cia402Axis:
     @property
     def in_trouble(self) -> bool:
         """Whether `trouble` is any; asks nobody."""
-        s = self.snapshot
-        off_course = s is not None and s.off_course and s.mode == PROFILE_POSITION
-        return self._emergency is not None or self._restarted or self.shows(*FAULTY) or off_course
+        return self._off_course or self._faulty or self._restarted
+
+    @property
+    def _off_course(self) -> bool:
+        return self.snapshot is not None and self.snapshot.off_course and self.snapshot.mode == PROFILE_POSITION
+
+    @property
+    def _faulty(self) -> bool:
+        return self._emergency is not None or self.shows(*FAULTY)
 
     def shows(self, *states: State) -> bool:
         """Whether its last process data say one of these states."""
@@ -431,10 +437,9 @@ class Cia402Axis:
 
     def trouble(self) -> HardwareError | None:
         """What process data, emergencies and boot-ups say is wrong with this drive. A fault's code may be asked for."""
-        snapshot = self.snapshot
-        if snapshot is not None and snapshot.off_course and snapshot.mode == PROFILE_POSITION:
+        if self._off_course and (snapshot := self.snapshot) is not None:
             return self._following_error(snapshot)
-        if self._emergency is not None or self.shows(*FAULTY):
+        if self._faulty:
             return self._drive_fault()
         if self._restarted:
             return DriveFault(self.name, "restarted by itself (boot-up message); its configuration is gone")

@@ -19,6 +19,7 @@ from contextlib import suppress
 
 from ppshw.cli.parser import build_parser
 from ppshw.errors import PpshwError
+from ppshw.interruptions import INTERRUPTIONS
 from ppshw.whole_file import BAD_PATH
 
 _NEGATIVE = re.compile(r"-[\d.][\d.eE+\-,; ]*")
@@ -54,9 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _as_a_program() -> None:
     """What concerns the whole process: a polite kill stops the axes like Ctrl-C, which a shell that starts us with &
     has ignored; stderr is for our one line alone; what is written to a stream that was closed is lost."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    for request_to_end in INTERRUPTIONS:
+        signal.signal(request_to_end, signal.default_int_handler)
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  as long as the process

@@ -101,7 +101,7 @@ class KnownEffects:
 
     def _verdict(self, effect: Effect, now: Moment, past: Past) -> tuple[bool, str]:
         if effect.name == UNNAMED:
-            places = [name[5:-2] for name in effect.unnamed_over if name.startswith("temp_") and name.endswith("_C")]
+            places = [place for place in self._seen_between if f"temp_{place}_C" in effect.unnamed_over]
             why = "nothing says that it stays: no axis is driven by it, nor by what it would change"
             return False, "; ".join([why, *self._beyond(places, now, "how large it is there nothing says")])
         if effect.of_instrument:

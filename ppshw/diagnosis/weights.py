@@ -44,15 +44,12 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
     for f in found:
         pieces = pieces_of(f, found)
         others = [g for g in found if g is not f and g not in pieces]
-        if pieces:  # beside them its form is known better than by itself
-            take_up(space, tried, [*others, *pieces])
-            f.spread = spread_of(tried, f.best, tried.said()[0])
-            f.pulled = pulled_along(tried, f.best, f.spread)
-        take_up(space, tried, others)
+        take_up(space, tried, [*others, *pieces])  # beside its further pieces a form is known best
+        f.spread = spread_of(tried, f.best, tried.said()[0])
+        f.pulled = pulled_along(tried, f.best, f.spread)
+        if pieces:
+            take_up(space, tried, others)
         every, names = tried.said()
-        if not pieces:
-            f.spread = spread_of(tried, f.best, every)
-            f.pulled = pulled_along(tried, f.best, f.spread)
         evidence = names.copy()
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:
