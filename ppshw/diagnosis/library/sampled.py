@@ -79,7 +79,8 @@ def moments_about(c: Context, about: Sequence[float]) -> list[float]:
     return sorted({*map(float, grid), *map(float, every[away <= 1.01 * np.diff(grid).max()])})
 
 
-def that_act(c: Context, columns: Sequence[Column]) -> tuple[Column, ...]:
-    """Those that do anything beside the largest: a channel that reads nothing, an axis that stays plumb do not."""
+def that_act(c: Context, columns: Sequence[Column], hardly: float = 1e-6) -> tuple[Column, ...]:
+    """Those that do more than such a part of what the largest does: a channel that reads nothing, an axis that stays
+    plumb do not."""
     size = [float(np.abs(column.value(c)).max()) for column in columns]
-    return tuple(column for column, most in zip(columns, size, strict=True) if most > 1e-6 * max(size))
+    return tuple(column for column, most in zip(columns, size, strict=True) if most > hardly * max(size))

@@ -13,6 +13,9 @@ from ppshw.terms.shapes import Column, Context
 
 # Moments that change by less bend nothing: a weak joint of 1e-4 rad/(N m) turns by 5 µrad. The heaviest chain: 100 N.
 LEAST_MOMENT, HEAVIEST_CHAIN = 0.05, 100.0  # N m (standard deviation over the visits), N
+# Part of what the mass of a body does, or a shift along another axis: one along gravity bends by tilts of a thousandth
+# alone, and something else that went by them was a body shifted by 150 t m (another author's telescope).
+HARDLY = 0.02
 
 
 def own_moment(c: Context, frame: int, component: int) -> Column | None:
@@ -21,39 +24,34 @@ def own_moment(c: Context, frame: int, component: int) -> Column | None:
     return column if float(np.std(column.value(c))) > LEAST_MOMENT else None
 
 
+def _body(c: Context, joint: int, **growing: int) -> tuple[Column, ...]:
+    """What mass and shifts of it do at a joint's body, of those that do anything."""
+    every = [Column("frames", "body_weight", {"joint": joint, "what": what, **growing}) for what in ("mass", *"xyz")]
+    return that_act(c, every, HARDLY)
+
+
 def moving_weight(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
-        mass = Column("frames", "body_weight", {"joint": k, "what": "mass"})
-        yield Candidate("moving_weight", name, name, None, f"q_{name}", (mass,))
-        for axis in "xyz":
-            shift = Column("frames", "body_weight", {"joint": k, "what": axis})
-            yield Candidate("moving_weight", name, name, None, f"q_{name}", (shift,), share=0.2)
-        chain = tuple(
-            Column("frames", "body_weight", {"joint": k, "what": what, "grows": power})
-            for power in (1, 2) for what in ("mass", "x", "y", "z")
-        )  # fmt: skip
-        for some in (chain[:1], (chain[0], chain[4]), chain):  # a cable chain hangs there, as long as its joint has it
-            if alive := that_act(c, some):
-                yield Candidate("moving_weight", name, name, None, f"q_{name}", alive, share=0.3)
+        where = ("moving_weight", name, name, None, f"q_{name}")
+        for column in _body(c, k):
+            yield Candidate(*where, (column,), share=1.0 if column.args["what"] == "mass" else 0.2)
+        linear, squared = _body(c, k, grows=1), _body(c, k, grows=2)
+        # a cable chain hangs there, as long as its joint has it
+        for some in (linear[:1], linear[:1] + squared[:1], linear + squared):
+            if some:
+                yield Candidate(*where, some, share=0.3)
         for other, by in moving_joints(c):  # a hose that another joint pulls along
-            if other == k:
-                continue
-            hose = tuple(
-                Column("frames", "body_weight", {"joint": k, "what": what, "grows": 1, "by": other})
-                for what in ("mass", *"xyz")
-            )
-            if all(not np.any(column.value(c)) for column in hose):
-                continue
-            for some in ((column,) for column in hose if np.any(column.value(c))):
-                yield Candidate("moving_weight", name, name, None, f"q_{by}", some, share=0.03)
-            yield Candidate("moving_weight", name, name, None, f"q_{by}", that_act(c, hose), share=0.05)
+            if other != k and (hose := _body(c, k, grows=1, by=other)):
+                for column in hose:
+                    yield Candidate("moving_weight", name, name, None, f"q_{by}", (column,), share=0.03)
+                yield Candidate("moving_weight", name, name, None, f"q_{by}", hose, share=0.05)
     for frame, name in enumerate(c.machine.joint_names, start=1):
         for b in range(3, 6):
-            if (column := own_moment(c, frame, b)) is not None:
-                yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (column,), {}, 0.5)
+            if (own_part := own_moment(c, frame, b)) is not None:
+                yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (own_part,), {}, 0.5)
             if frame < c.machine.n:
                 args = {"frame": frame, "component": b, "joint": frame}
-                column = Column("frame", "hanging", args, frame, b)
-                if HEAVIEST_CHAIN * float(np.std(column.value(c))) > LEAST_MOMENT:
+                hangs = Column("frame", "hanging", args, frame, b)
+                if HEAVIEST_CHAIN * float(np.std(hangs.value(c))) > LEAST_MOMENT:
                     after = c.machine.joint_names[frame]
-                    yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{after}", (column,), {}, 0.5)
+                    yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{after}", (hangs,), {}, 0.5)

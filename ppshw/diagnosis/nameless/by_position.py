@@ -17,6 +17,8 @@ OCTAVES = (3, 6, 12)  # waves over a joint's travel, from these to twice as many
 IN_ITS_DIRECTION = (24, 48)  # and in the joint's own direction
 DENTS = (0.05, 0.1)  # widths relative to half the travel
 
+SPLICES = 63  # places of a travel where a step is sought
+
 
 def finely(c: Context) -> Iterator[Candidate]:
     """A function of one position finer than the base model's, octave by octave."""
@@ -34,6 +36,15 @@ def dents(c: Context) -> Iterator[Candidate]:
                 Column("frame", "dent", {"joint": k, "at": float(at), "width": width, "order": j}, k + 1, comp)
                 for j in range(3)
             ])  # fmt: skip
+
+
+def splices(c: Context) -> Iterator[Candidate]:
+    """A step at one place of the travel, as where one rail follows another."""
+    for (k, name), comp in itertools.product(moving_joints(c), range(6)):
+        for at in np.linspace(-1.0, 1.0, SPLICES + 2)[1:-1]:
+            yield rival(c, k + 1, comp, (f"q_{name}",), (
+                Column("frame", "splice", {"joint": k, "at": float(at)}, k + 1, comp),
+            ))  # fmt: skip
 
 
 def of_two_positions(c: Context) -> Iterator[Candidate]:

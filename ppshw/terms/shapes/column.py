@@ -89,7 +89,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
     f.__name__: f
     for f in (
         motion.approach, motion.approach_q, motion.reversal, motion.turning, motion.slipping, motion.winding,
-        motion.seated, motion.wave, motion.wave_q, motion.dent, motion.pair, motion.pair_waves,
+        motion.seated, motion.wave, motion.wave_q, motion.dent, motion.splice, motion.pair, motion.pair_waves,
         motion.product,
         time_and_heat.clock, time_and_heat.clock_q, time_and_heat.step, time_and_heat.hopping, time_and_heat.settling,
         time_and_heat.temperature, time_and_heat.temperature_q, time_and_heat.link_growth,

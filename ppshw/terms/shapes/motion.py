@@ -93,6 +93,12 @@ def dent(c: Context, joint: int, at: float, width: float, order: int) -> Array:
     return np.asarray(np.exp(-0.5 * x**2) * (1.0, x, x**2 - 1.0)[order])
 
 
+def splice(c: Context, joint: int, at: float) -> Array:
+    """A step at one place of a joint's travel, for a travel of −1 … 1: a rail goes on a little beside where the one
+    before it ended."""
+    return np.asarray(0.5 * np.sign(c.u(joint) - at))
+
+
 def pair(c: Context, a: int, power_a: int, b: int, power_b: int) -> Array:
     """Legendre polynomials of two joints, multiplied."""
     return c.legendre(a, power_a) * c.legendre(b, power_b)

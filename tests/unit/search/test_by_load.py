@@ -217,6 +217,19 @@ def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_
     assert best["width"] in (0.5, 0.7)  # the grid's next to 0.55
 
 
+def test_a_body_is_not_heavier_by_what_shifts_it_along_gravity(space: Workspace) -> None:
+    """Such a shift bends by tilts of a thousandth alone; a compliance that changes along a telescope was one of 150 t m
+    (another author's 012)."""
+    rails = [k for k, joint in enumerate(space.machine.joints) if joint.prismatic]
+    down = {k: space.context.chain[0, k + 1, :3, :3].T @ np.asarray(space.machine.gravity) for k in rails}
+    plumb = {(k, "xyz"[np.argmax(np.abs(g))]) for k, g in down.items() if np.abs(g).max() > 9.8}
+    assert len(plumb) == 3
+    every = [column for k in named(space, "moving_weight") for column in k.columns]
+    weights = [column for column in every if column.function == "body_weight"]
+    assert {column.args["what"] for column in weights} == {"mass", "x", "y", "z"}
+    assert not {(column.args["joint"], column.args["what"]) for column in weights} & plumb
+
+
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}

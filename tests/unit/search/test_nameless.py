@@ -59,6 +59,22 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
 
 
+@pytest.mark.parametrize(("at", "component"), [(0.41, 1), (-0.27, 5)])
+def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
+    space: Workspace, at: float, component: int
+) -> None:
+    """A step that no wave of the base model follows, and no dent (another author's 032)."""
+    joint = space.machine.joint_names.index("longitudinal")
+    q = space.recording.q[:, joint]
+    u = (q - q.mean()) / (0.5 * np.ptp(q))
+    moved = space.context.jacobian[:, :, joint + 1, component] * np.tanh((u - at) / 0.004)[:, None]
+    there = replace(space, data=space.data + of_size(space, moved, 2.0))
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert [f.name for f in found] == [("nameless", None)]
+    best = best_of(tried, found[0])
+    assert (best.covariates, best.columns[0].function) == (("q_longitudinal",), "splice")
+
+
 def test_a_rail_that_sags_between_its_posts_goes_by_its_load_and_its_position(space: Workspace) -> None:
     """Under the payload, four times over the travel, and not on the posts (another author's 038)."""
     joint = space.machine.joint_names.index("lateral")
