@@ -92,7 +92,7 @@ def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     loads = any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in other.covariates)
     over = any(candidate.covariate in name for name in other.covariates)
     slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
-    slow = slow or any(column.function == "target_shift" for column in other.columns)
+    slow = slow or any(column.function == "target_shift" and "plumb" not in column.args for column in other.columns)
     by_load = loads and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
     return same_place(candidate, other) or over or by_load or (slow and candidate.covariate == "time")
 

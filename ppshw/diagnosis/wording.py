@@ -23,6 +23,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import called
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
+from ppshw.terms.shapes.reflectors import gravity_in_tip
 
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
@@ -168,7 +169,10 @@ def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
     if candidate.covariates:
         return [column_of(name) for name in candidate.covariates]
     if candidate.covariate in c.recording.target_names:
-        return [("time", f"of reflector {candidate.covariate}")]
+        of = f"of reflector {candidate.covariate}"
+        if (axis := candidate.columns[0].args.get("plumb")) is None:
+            return [("time", of)]
+        return [(name, f"{of}, as it is turned over") for name in most_alike(c, gravity_in_tip(c)[:, axis])[:2]]
     nearest = most_alike(c, named_column(c, candidate.covariate))[:2]
     said = f"for the {candidate.covariate} from the instrument"
     if candidate.covariate == "incidence":

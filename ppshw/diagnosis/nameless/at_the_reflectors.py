@@ -13,14 +13,17 @@ from ppshw.diagnosis.library.sampled import moving_joints, temperature_places
 from ppshw.diagnosis.nameless.rival import late_columns, nobody_knows, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.reflectors import gravity_in_tip
 
 AROUND = ((1, 2), (1, 6), (7, 13), (13, 25), (25, 49))  # waves to a turn of the instrument's circles
+# Standard deviation of which way is down, of one: a reflector whose mount is always upright is elsewhere for good.
+TURNED_OVER = 0.1
 
 
 def at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders; what carries them all swells or bends with a column, a load, a position; distances
-    are off the more aslant the beam falls in, directions by waves over the instrument's own angles; the space around it
-    is stretched, for good or with a temperature."""
+    """A single reflector wanders, or its mount gives way as it is turned over; what carries them all swells or bends
+    with a column, a load, a position; distances are off the more aslant the beam falls in, directions by waves over the
+    instrument's own angles; the space around it is stretched, for good or with a temperature."""
     if c.points.shape[1] > 1:
         for t, name in enumerate(c.recording.target_names):
             moves = tuple(
@@ -42,6 +45,13 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for t, a in itertools.product(targets, axes)
             ]
             yield rival(c, None, None, (name,), swells)
+        turns = np.flatnonzero(gravity_in_tip(c).std(axis=0) > TURNED_OVER)
+        for t, name in enumerate(c.recording.target_names) if len(turns) else ():
+            sags = tuple(
+                Column("points", "target_shift", {"target": t, "axis": a, "plumb": int(b)})
+                for a, b in itertools.product(range(3), turns)
+            )
+            yield Candidate("nameless", None, None, None, name, sags)
     products = [(a, -1) for a in range(3)] + list(itertools.combinations_with_replacement(range(3), 2))
     for target in range(-1, c.points.shape[1] if c.points.shape[1] > 1 else 0):
         aslant = tuple(

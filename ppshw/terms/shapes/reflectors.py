@@ -14,11 +14,12 @@ Array = NDArray[np.float64]
 
 def target_shift(
     c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = "",
-    load: int = -1,
+    load: int = -1, plumb: int = -1,
 ) -> Array:  # fmt: skip
     """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
-    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column; or in
-    proportion to a component of the sensor's wrench (by the greatest that this read)."""
+    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column; in
+    proportion to a component of the sensor's wrench (by the greatest that this read), or to how far the `plumb`-th axis
+    of the end effector points down."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
     if order:
@@ -28,8 +29,16 @@ def target_shift(
     if load >= 0:
         read = c.recording.wrench[:, load]
         out = out * (read / c.frozen(f"most.read.{load}", float(np.abs(read).max())))[:, None, None]
+    if plumb >= 0:
+        out = out * gravity_in_tip(c)[:, plumb, None, None]
     if since >= 0:
         out = out * step(c, since)[:, None, None]
     if slow:
         out = out * (1.0 - np.exp(-np.maximum(c.hours - since, 0.0) / slow))[:, None, None]
     return out
+
+
+def gravity_in_tip(c: Context) -> Array:
+    """(N, 3) which way is down, in the end effector's axes."""
+    g = np.asarray(c.machine.gravity)
+    return np.asarray(np.einsum("nij,i->nj", c.tips[:, :3, :3], g / max(float(np.linalg.norm(g)), 1e-9)))

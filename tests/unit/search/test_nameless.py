@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import finding, stand_ins
-from ppshw.diagnosis.workspace import Workspace
+from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column, named_column
+from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size
 
 
@@ -147,6 +149,25 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     found, tried = look(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
     assert [f.name[0] for f in found] == ["nameless"]
     assert best_of(tried, found[0]).covariates == (load,)
+
+
+def test_a_reflector_whose_mount_gives_way_as_it_is_turned_over_is_said_of_it(tmp_path: Path) -> None:
+    """On an arm; the load goes with the attitude too, and a heavier end effector was found beside a function of that
+    (another author's 045)."""
+    space = prepare(*(case := clean_case(60534, "arm6", 240, 180, tmp_path)), np.ones(len(case[1]), dtype=bool))
+    c = space.context
+    down = np.einsum("nij,i->nj", c.tips[:, :3, :3], np.asarray(space.machine.gravity) / 9.80665)
+    moved = np.zeros_like(c.points)
+    moved[:, 1] = np.einsum("nij,jk,nk->ni", c.tips[:, :3, :3], np.diag([1.0, 0.8, 0.1]), down)
+    there = replace(space, data=space.data + of_size(space, moved.reshape(len(down), -1), 2.0))
+    tried = Tried(there, [k for k in library(c) if k.effect in ("moving_weight", "target_moved")] + nameless(c), 5e-5)
+    found = search(there, tried, np.random.default_rng(0))
+    assert {f.name[0] for f in found} == {"nameless"}
+    best = best_of(tried, max(found, key=lambda f: f.evidence))
+    assert best.covariate == c.recording.target_names[1]
+    joints = {f"q_{name}" for name in space.machine.joint_names}
+    for column, how in stand_ins(c, best):
+        assert (column in joints, how) == (True, f"of reflector {best.covariate}, as it is turned over")
 
 
 def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_its_angle(space: Workspace) -> None:
