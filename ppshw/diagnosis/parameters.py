@@ -321,6 +321,8 @@ def _misread(args: Mapping[str, Any]) -> str:
 
 
 def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
+    if candidate.columns[0].function == "own_bend":
+        return ["own_weight_share"], ["1"]
     if candidate.columns[0].function != "body_weight":
         return ["compliance"], [f"{unit}/(N m)"]
     names, units = [], []

@@ -13,6 +13,7 @@ from ppshw.terms.shapes import Column, Context
 
 # Moments that change by less bend nothing: a weak joint of 1e-4 rad/(N m) turns by 5 µrad. The heaviest chain: 100 N.
 LEAST_MOMENT, HEAVIEST_CHAIN = 0.05, 100.0  # N m (standard deviation over the visits), N
+LEAST_BEND = 1e-6  # m, rad
 # Part of what the mass of a body does, or a shift along another axis: one along gravity bends by tilts of a thousandth
 # alone, and something else that went by them was a body shifted by 150 t m (another author's telescope).
 HARDLY = 0.02
@@ -46,6 +47,9 @@ def moving_weight(c: Context) -> Iterator[Candidate]:
                     yield Candidate("moving_weight", name, name, None, f"q_{by}", (column,), share=0.03)
                 yield Candidate("moving_weight", name, name, None, f"q_{by}", hose, share=0.05)
     for frame, name in enumerate(c.machine.joint_names, start=1):
+        bends = Column("frames", "own_bend", {"frame": frame})  # more, or less, than the payload bends it
+        if float(np.ptp(bends.value(c)[:, frame], axis=0).max()) > LEAST_BEND:
+            yield Candidate("moving_weight", name, name, None, f"q_{name}", (bends,))
         for b in range(3, 6):
             if (own_part := own_moment(c, frame, b)) is not None:
                 yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (own_part,), {}, 0.5)

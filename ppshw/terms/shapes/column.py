@@ -97,7 +97,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         loads.load_side, loads.load_side_held, loads.load_bump, loads.load_slip, loads.load_warm, loads.softened,
         loads.load_legendre,
         creep.creeping, creep.creep,
-        wrenches.own_weight, wrenches.hanging, wrenches.body_weight,
+        wrenches.own_weight, wrenches.own_bend, wrenches.hanging, wrenches.body_weight,
         sensor.sensor_error, sensor.sensor_off, sensor.pulled,
         instrument.scale, instrument.strain, instrument.angle_error, instrument.range_error, instrument.refraction,
         reflectors.target_shift,

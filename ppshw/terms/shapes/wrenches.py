@@ -19,6 +19,13 @@ def own_weight(c: Context, frame: int, component: int) -> Array:
     return np.asarray(own_wrenches(c)[:, frame, component])
 
 
+def own_bend(c: Context, frame: int) -> Array:
+    """Deflection of one frame by the machine's own bodies alone, as stiff as the calibration has it."""
+    out = np.zeros_like(c.wrenches)
+    out[:, frame] = np.einsum("nab,nb->na", c.compliance[:, frame], own_wrenches(c)[:, frame])
+    return out
+
+
 def hanging(c: Context, frame: int, component: int, joint: int) -> Array:
     """Moment on a frame by a weight of 1 N that hangs at joint `joint` and grows with its travel (a cable chain)."""
     arm = c.chain[:, joint + 1, :3, 3] - c.chain[:, frame, :3, 3]

@@ -14,6 +14,7 @@ from ppshw.diagnosis.library.sampled import elastic_frames
 from ppshw.diagnosis.parameters import numbers_of
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.statics import link_wrenches
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
 
@@ -228,6 +229,17 @@ def test_a_body_is_not_heavier_by_what_shifts_it_along_gravity(space: Workspace)
     weights = [column for column in every if column.function == "body_weight"]
     assert {column.args["what"] for column in weights} == {"mass", "x", "y", "z"}
     assert not {(column.args["joint"], column.args["what"]) for column in weights} & plumb
+
+
+def test_a_joint_that_its_bodies_bend_otherwise_than_the_payload_says_by_which_share(space: Workspace) -> None:
+    c, k = space.context, space.machine.joint_names.index("vertical") + 1
+    bare = link_wrenches(space.machine, c.chain, np.zeros((len(c.recording), 6)))[:, k]
+    bent = np.einsum("nia,nab,nb->ni", c.jacobian[:, :, k], c.compliance[:, k], bare)
+    there = replace(space, data=space.data + 4.0 * bent)
+    found, tried = look(there, ["moving_weight", "missing_compliance"], "vertical")
+    assert [f.name for f in found] == [("moving_weight", "vertical")]
+    share = finding(there, tried, found[0])["parameters"]["own_weight_share"]
+    assert (share["unit"], share["value"]) == ("1", pytest.approx(4.0, rel=0.3))  # the base model takes the most of it
 
 
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
