@@ -276,8 +276,9 @@ class KnownEffects:
         machine, here = self.machine, Situation(now.q[None], now.payload[None])
         chain = frames(machine, here.q, base)
         compliance = self._compliance(here)
-        ways = now.ways(past.moments[-1].q if past.moments else now.q)
-        moments = [*past.moments, *ways]
+        before = past.before(now.q)
+        ways = now.ways(before[-1].q if before else now.q)
+        moments = [*before, *ways]
         wrenches, chain, compliance = (np.repeat(a, len(ways), axis=0) for a in (wrenches, chain, compliance))
         wrenches, chain, compliance = past.followed_by(wrenches, chain, compliance)
         reference = dict(self._reference)
@@ -393,7 +394,7 @@ class KnownEffects:
         empty = replace(now, payload=lay, load="before", time=at - age - 0.1)
         put_on = replace(now, time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
-        return replace(past, known=seconds is not None, recorded=lay_before is not None)
+        return replace(past, known=seconds is not None, recorded=lay_before is not None, standing=start is None)
 
 
 def _joints(columns: Iterable[Column], functions: Collection[str]) -> list[int]:

@@ -48,6 +48,7 @@ class Past:
 
     known     whether it reaches back to the last change of load
     recorded  whether it begins with a recording's first visit, or with what else had lain there for long
+    standing  whether nobody says where the move starts: the machine stood where it goes to
     """
 
     moments: tuple[Moment, ...] = ()
@@ -56,6 +57,11 @@ class Past:
     compliance: Array | None = None
     known: bool = False
     recorded: bool = False
+    standing: bool = False
+
+    def before(self, q: Array) -> tuple[Moment, ...]:
+        """Its moments, of a move to q (n,)."""
+        return tuple(replace(m, q=q) for m in self.moments) if self.standing else self.moments
 
     def followed_by(self, wrenches: Array, chain: Array, compliance: Array) -> tuple[Array, Array, Array]:
         """The same of later moments, with those of this past before them."""

@@ -113,6 +113,22 @@ def test_where_the_direction_is_unknown_the_middle_is_taken_and_said() -> None:
     assert "from which side the joint comes is not known" in found.effects[0].why
 
 
+@pytest.mark.parametrize("function", [("slipping", "width"), ("winding", "way")])
+def test_the_middle_is_taken_also_of_lost_motion_that_is_taken_up_over_less_than_a_correction(
+    function: tuple[str, str],
+) -> None:
+    """The correction of millimetres was walked as if the joint had gone that way: a side was taken, as if known."""
+    column = Column("frame", function[0], {"joint": VERTICAL, function[1]: 1e-4}, VERTICAL + 1, TY)
+    compensator = knowing("backlash", "vertical", column, -GAP / 2)
+    found = asked(compensator)
+    assert abs(found.corrected - POSE)[VERTICAL] > 5e-4
+    sides = [asked(compensator, approach=np.array([0, s, 0, 0, 0, 0])).corrected for s in (-1, 1)]
+    assert sides[1][VERTICAL] - sides[0][VERTICAL] == pytest.approx(GAP, rel=1e-2)
+    np.testing.assert_allclose(found.corrected, np.mean(sides, axis=0), atol=1e-6)
+    known = asked(compensator, approach=np.array([0, 1, 0, 0, 0, 0]))
+    assert found.std[1] ** 2 == pytest.approx(known.std[1] ** 2 + (GAP / 2) ** 2, rel=0.05)
+
+
 def test_a_campaign_knows_where_every_move_starts() -> None:
     """Up, up, down, and once more without moving: the joint keeps the side that it came from."""
     move = Corrections(lost_motion())
