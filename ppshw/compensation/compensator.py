@@ -137,8 +137,9 @@ class Compensator:
 
         wanted   (4, 4) of the point (its axes are the end effector's) in the base frame
         payload  (6,) on the sensor, sensor frame, at that pose    [N, N·m]
-        Raises CompensationRefused: out of reach of the ideal machine, beyond a limit, outside what was identified, too
-        large a correction, one that leaves the point farther off than none, or (position first) none found.
+        Raises CompensationRefused: out of reach of the ideal machine, beyond a limit, outside what was identified (a
+        temperature far outside), too large a correction, one that leaves the point farther off than none, or (position
+        first) none found.
         """
         offset = transform(np.eye(3), self.machine.point(point))
         wanted_tip = wanted @ inverse(offset)
@@ -161,6 +162,8 @@ class Compensator:
         self._refuse_outside(nominal, payload)
         start = nominal[None]
         now, past = self._moment(nominal, payload, given), given.past or Past()
+        if self.known is not None:
+            self.known.refuse_far(now)
         if self.known is not None and given.past is None:
             past = self.known.loaded_for(now, given.loaded_for, given.start, given.before)
         where = self.machine.point(point)[None]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.compensation.past import Moment, Past, Signs, approach_of
+from ppshw.errors import CompensationRefused
 from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
@@ -46,6 +47,7 @@ BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before 
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anything in it
+FARTHER_K = 5.0  # that a thermometer may read beyond where effects were measured, or by as much as it ran through there
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
 
@@ -145,6 +147,18 @@ class KnownEffects:
             if place in places and place in now.temperatures
             and is_beyond(np.asarray(now.temperatures[place]), low, high)
         ]  # fmt: skip
+
+    def refuse_far(self, now: Moment) -> None:
+        """Raises CompensationRefused where a thermometer that setpoints go by reads far from where it was measured."""
+        felt = {place for e in self.effects if not e.of_instrument for place in e.places}
+        for place in sorted(felt & now.temperatures.keys() & self._seen_between.keys()):
+            low, high = self._seen_between[place]
+            reads, more = now.temperatures[place], max(FARTHER_K, high - low)
+            if not low - more <= reads <= high + more:
+                raise CompensationRefused(
+                    f"temperature of {place} {reads:g} °C is too far from the {low:.1f} to {high:.1f} °C at which "
+                    f"effects were measured, expected {low - more:.1f} … {high + more:.1f}"
+                )
 
     # --- what they do --------------------------------------------------------------------------------------
     def errors(self, now: Moment, past: Past, base: Array, wrenches: Array) -> Array:

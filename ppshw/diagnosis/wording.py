@@ -14,6 +14,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, by_its_own_form, coefficients, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
+from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
@@ -210,13 +211,14 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
     amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_pressed(candidate, values, unit)}"
+    ahead = ", which lags: is a sign turned?" if _runs_ahead(c, candidate, values) else ""
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
-        "backlash": f"{joint} lags behind by {amount}{rocks(candidate)} whenever it turns back: lost motion in its "
-        f"drive ({size}).",
-        "friction_hysteresis": f"{joint} lags by an amount that grows with the travel since it turned back, up to "
-        f"{amount}: friction before sliding ({size}).",
+        "backlash": f"{joint} {'runs ahead' if ahead else 'lags behind'} by {amount}{rocks(candidate)} whenever it "
+        f"turns back: lost motion in its drive{ahead} ({size}).",
+        "friction_hysteresis": f"{joint} {'runs ahead' if ahead else 'lags'} by an amount that grows with the travel "
+        f"since it turned back, up to {amount}: friction before sliding{ahead} ({size}).",
         "thermal_growth": f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows "
         f"or bends with heat ({size}).",
         "drift": f"everything moves{_when(candidate)}, {_far(c, candidate, values)}as if the base or the tracker did "
@@ -241,6 +243,15 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
+
+
+def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
+    """Whether what joint and drive lose to each other carries the joint on, which no drive does: of what goes along its
+    own way."""
+    if candidate.effect not in ("backlash", "friction_hysteresis") or candidate.joint is None:
+        return False
+    own = own_component(c, c.machine.joint_names.index(candidate.joint))
+    return bool(candidate.columns[0].component == own and values[0] > 0)
 
 
 def _period(c: Context, candidate: Candidate) -> str:

@@ -239,6 +239,18 @@ def test_growth_at_a_temperature_that_it_was_not_measured_at_is_carried_on_and_s
     assert plain[VERTICAL] - found.corrected[VERTICAL] == pytest.approx(8e-5 * (rail - 22.0), rel=0.02)
 
 
+@pytest.mark.parametrize("rail", [294.0, 12.9, -127.0])
+def test_a_thermometer_that_reads_far_from_where_growth_was_measured_moves_no_axis(rail: float) -> None:
+    """In kelvin, or broken: 16 mm were driven into the axes."""
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    grown = knowing("thermal_growth", "vertical", column, 8e-5)
+    compensator = Compensator(replace(grown.calibration, temperature_range={"rail": (19.0, 25.0), "air": (18.0, 20.0)}))
+    said = r"of rail .* too far from the 19.0 to 25.0 °C .* expected 13.0 … 31.0"
+    with pytest.raises(CompensationRefused, match=said):
+        asked(compensator, around=Around(1.7e9, "box", {"rail": rail, "air": 294.0}))
+    asked(compensator, around=Around(1.7e9, "box", {"rail": 13.0, "air": 294.0}))  # nothing goes with the air
+
+
 def test_evaluate_counts_visits_at_temperatures_that_no_effect_was_measured_at(tmp_path: Path) -> None:
     plant, _ = base()
     csv = simulate_recording_csv(plant, tmp_path / "r.csv", 9, np.random.default_rng(2), "mixed")

@@ -125,7 +125,9 @@ def test_what_a_joint_does_is_said_along_its_own_axis(space: Workspace, axis: li
         assert said["value"] == pytest.approx(factor * times * -1e-4)
         assert said["std"] == pytest.approx(abs(factor * times) * 1e-6)
     half_a_gap = np.eye(len(play.columns))[0] * -1e-4
-    assert f"lags behind by {0.2 * abs(times):.3f} mm" in sentence(c, play, half_a_gap, 1e-4)
+    said = sentence(c, play, half_a_gap, 1e-4)
+    assert f"{'lags behind' if times > 0 else 'runs ahead'} by {0.2 * abs(times):.3f} mm" in said
+    assert ("is a sign turned?" in said) == (times < 0)
 
 
 def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
