@@ -21,7 +21,7 @@ from ppshw import __version__
 from ppshw.errors import CalibrationError, RecordingError
 from ppshw.identification.joint import Estimate, believable
 from ppshw.identification.noise import Noise
-from ppshw.identification.plausible import loads_not_measured
+from ppshw.identification.plausible import loads_not_measured, rests_off, sides_seen
 from ppshw.machine import WRENCH_COMPONENTS, BentBy, Machine
 from ppshw.model import Model
 from ppshw.packed import packed, unpacked
@@ -112,6 +112,11 @@ class Calibration:
                 f"its recording had loads ({loads}) and no wrench of them: a setpoint is for an average of them, and "
                 "its std_mm knows nothing of what they do"
             )
+        for joint, far in self.provenance.get("rests_off", {}).items():
+            said.append(
+                f"{joint} rested {far} from where it was sent while it was measured: a setpoint is where its encoder "
+                "should stand, and std_mm knows nothing of that"
+            )
         for mended in self.provenance.get("columns_set_right", ()):
             said.append(
                 f"it is of its recording set right ({mended}): what still reads so, as the force sensor, must be set "
@@ -123,6 +128,17 @@ class Calibration:
                 "is, which std_mm does not hold, is known no better than the machine was built"
             )
         return said
+
+    def other_sides(self, approach: NDArray[Any]) -> list[str]:
+        """A line for each joint that comes, by the sign of `approach` (n,), from another side than it was ever measured
+        from, or from a side that nobody knows: what it loses when it turns back no recording says."""
+        known = dict(zip(self.machine.joint_names, np.sign(approach).tolist(), strict=True))
+        return [
+            f"{joint} was measured coming in its {'+' if side > 0 else '−'} direction alone, "
+            f"{'and may come' if known[joint] == 0 else 'and comes'} in the other here: what it loses when it turns "
+            "back is not known"
+            for joint, side in self.provenance.get("one_side", {}).items() if known.get(joint, side) != side
+        ]  # fmt: skip
 
     def identified_joints(self, margin: float = RANGE_MARGIN) -> list[Identified]:
         """Per joint, in the chain's order; margin: share of the range that is let pass beyond its ends."""
@@ -173,6 +189,10 @@ class Calibration:
         }
         if loads := loads_not_measured(recording):
             provenance["loads_not_measured"] = loads
+        if off := rests_off(machine, recording):
+            provenance["rests_off"] = off
+        if sides := sides_seen(recording):
+            provenance["one_side"] = sides
         sampled = {}
         for k, name in enumerate(machine.joint_names):
             positions = np.unique(np.round(used.q[:, k], 4))

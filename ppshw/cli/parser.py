@@ -150,6 +150,8 @@ def build_parser() -> argparse.ArgumentParser:
         p.add_argument("--temperature", nargs="+", action="extend", metavar="PLACE=21.5 …",
                        help="of a place, by the recording's name for it [°C]")  # fmt: skip
         p.add_argument("--loaded-for", type=positive, metavar="S", help="how long the load has been on [s]")
+        p.add_argument("--lay-before", nargs="+", metavar="FX … MZ",
+                       help="what the sensor read there before the load was put on; zeros: nothing")  # fmt: skip
         p.add_argument("--site", required=name == "move", metavar="S", help="site file of the axes to drive there")
         _reset_faults(p)
 

@@ -31,7 +31,10 @@ def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
         if not low <= q <= high:
             raise BadInput(f"--from {joint.name}: {q:g} {joint.unit} is outside its limits {low:g} … {high:g}")
     around = Around(temperatures=_temperatures(a, calibration))
-    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for)
+    if a.lay_before is not None and a.loaded_for is None:
+        raise BadInput("--lay-before: has no meaning without --loaded-for")
+    before = None if a.lay_before is None else numbers(a.lay_before, 6, "--lay-before")
+    return Circumstances(start, approach, around=around, loaded_for=a.loaded_for, lay_before=before)
 
 
 def _temperatures(a: argparse.Namespace, calibration: Any) -> dict[str, float]:
@@ -73,8 +76,10 @@ def check_point(name: str, machine: Any) -> None:
         raise BadInput(f"--point: no point named '{name}' in {machine.file}, expected one of {known}")
 
 
-def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dict[str, Any], str]:
-    """The wanted pose, corrected under the circumstances given."""
+def _corrected(
+    a: argparse.Namespace, compensator: Any, given: Any, warnings: list[str] | None = None
+) -> tuple[dict[str, Any], str]:
+    """The wanted pose, corrected under the circumstances given; `warnings` takes what is odd about them."""
     from ppshw.transforms import from_xyz_rpy
 
     machine = compensator.machine
@@ -90,6 +95,8 @@ def _corrected(a: argparse.Namespace, compensator: Any, given: Any) -> tuple[dic
             raise BadInput(f"--pose: an angle of {widest:g} rad is more than a turn; are these degrees?")
         near = given.start if a.near is None else numbers(a.near, machine.n, "--near")
         setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near, given)
+    if warnings is not None:
+        warnings += compensator.calibration.other_sides(setpoints.approach)
     names = machine.joint_names
     answer = {
         "setpoints": dict(zip(names, setpoints.corrected.tolist(), strict=True)),
@@ -125,7 +132,7 @@ def compensate(a: argparse.Namespace) -> None:
     if a.reset_faults:
         raise BadInput("--reset-faults: no drive is spoken to without --site")
     compensator, warnings = _compensator(a)
-    answer, text = _corrected(a, compensator, _circumstances(a, compensator.calibration))
+    answer, text = _corrected(a, compensator, _circumstances(a, compensator.calibration), warnings)
     warn(a.calibration, warnings)
     say(a, {**answer, "warnings": warnings}, text)
 
@@ -146,12 +153,14 @@ def move(a: argparse.Namespace) -> None:
         felt = bench.temperatures() if compensator.calibration.effects else {}
         bench.start_axes(a.reset_faults)
         here = bench.axes.positions()
-        answer, text = _corrected(a, compensator, _found_there(given, site, here, felt))
+        seen: list[str] = []
+        answer, text = _corrected(a, compensator, _found_there(given, site, here, felt), seen)
+        warn(a.calibration, seen)
         there = answer["setpoints"]
         longest = max(travel_time(j, abs(there[j.name] - here[j.name])) for j in machine.joints)
         with bar.expect("move", longest / site.speed):
             report = bench.axes.move(there)
-    answer |= {"warnings": warnings, "reached": dict(report.positions)}
+    answer |= {"warnings": warnings + seen, "reached": dict(report.positions)}
     say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
 
 

@@ -67,11 +67,11 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     from ppshw.compensation import Compensator, Corrections
 
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
-    warnings = calibration.doubts()
+    last_way = run_up(site)
+    warnings = calibration.doubts() + calibration.other_sides(last_way)
     if a.point is not None and not compensator.position_first:
         warnings.append("--point: these joints put the whole end-effector frame right, it changes nothing")
     warn(a.calibration, warnings)
-    last_way = run_up(site)
     correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine), point=a.point)
     correct.refuse_before(site.clock().utc().timestamp())
     with Bar() as bar:

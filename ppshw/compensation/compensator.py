@@ -79,6 +79,7 @@ class Circumstances:
     run_up      (n,) final motions that a site always has, signed, 0: none [m, rad]
     before      (n,) direction of the motion before, which a joint keeps that does not move
     loaded_for  how long the load has been on [s]; None: unknown. Asked only where there is no past
+    lay_before  (6,) what the sensor read at that pose before it was put on; None: unknown, nothing
     """
 
     start: Array | None = None
@@ -87,6 +88,7 @@ class Circumstances:
     before: Signs | None = None
     around: Around = field(default_factory=Around)
     loaded_for: float | None = None
+    lay_before: Array | None = None
     past: Past | None = None
 
     @property
@@ -122,7 +124,7 @@ class Compensator:
         if calibration.effects:
             self.known = KnownEffects(
                 calibration.effects, calibration.model, calibration.laid_at, calibration.reference,
-                calibration.measuring_in_base, calibration.temperature_range,
+                calibration.measuring_in_base, calibration.temperature_range, calibration.visits,
             )  # fmt: skip
 
     def for_pose(
@@ -165,7 +167,7 @@ class Compensator:
         if self.known is not None:
             self.known.refuse_far(now)
         if self.known is not None and given.past is None:
-            past = self.known.loaded_for(now, given.loaded_for, given.start, given.before)
+            past = self.known.loaded_for(now, given.loaded_for, given.start, given.before, given.lay_before)
         where = self.machine.point(point)[None]
         q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
         if not self.position_first and np.abs(left).max() > 1e-5:

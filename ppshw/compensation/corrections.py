@@ -97,7 +97,7 @@ class Corrections:
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)
             last = Moment(here, approach, wrench, around.time, around.load, around.temperatures)
             self._past = known.remember(self._past, last)
-        given = Circumstances(last.q, None, self._run_up, last.approach, around, None, self._past)
+        given = Circumstances(last.q, None, self._run_up, last.approach, around, past=self._past)
         found = self._corrected(wanted, payload, given)
         at = around.time, around.load, around.temperatures
         now = Moment(found.corrected, found.approach, payload, *at, self._run_up)

@@ -23,10 +23,10 @@ from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.quantities import called
 from ppshw.recording import Recording
-from ppshw.statics import link_wrenches, payload_at
+from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
-from ppshw.terms.history import hours_since_change
+from ppshw.terms.history import hours_since_change, payloads
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -75,8 +75,10 @@ class KnownEffects:
     def __init__(
         self, effects: Sequence[Effect], model: Model, theta: Array, reference: Mapping[str, float],
         measuring_in_base: Array, temperature_range: Mapping[str, tuple[float, float]] | None = None,
+        visits: Recording | None = None,
     ) -> None:  # fmt: skip
         self.effects = tuple(effects)
+        self._visits = visits
         self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
@@ -127,6 +129,8 @@ class KnownEffects:
         winds = effect.name == "friction_hysteresis" and now.run_up is None
         if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in _joints(effect.columns, FROM_WAY)):
             reserve.append("how far the joint has gone since it turned back is not known; taken as far")
+        if effect.name == "creep" and past.on_nothing:
+            reserve.append("what lay there before is not known; taken as nothing")
         oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
         if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
             reserve.append(
@@ -228,6 +232,23 @@ class KnownEffects:
                 (now, self.loaded_for(now, 3600.0 * age, first.q, first.approach))
                 for age in (0.0, min(UNSAID_H, hours), hours)
             ]
+
+        elif self._creeps and past.on_nothing:
+            start = None if past.standing else first.q
+            age = self._times([now])[0] - past.moments[-1].time
+            yield [
+                (now, self.loaded_for(now, age, start, first.approach, lay)) for lay in (np.zeros(6), *self._loads(now))
+            ]
+
+    def _loads(self, now: Moment) -> list[Array]:
+        """What each of the loads that hung there while effects were measured would read at a moment, (6,) each; of a
+        calibration that keeps none the same as does."""
+        if self._visits is None or not self._visits.has_wrench:
+            return [now.payload]
+        machine, visits = self.machine, self._visits
+        held = payloads(visits.wrench, visits.load, gravity_in_sensor(machine, frames(machine, visits.q)))
+        g = gravity_in_sensor(machine, frames(machine, now.q[None]))[0]
+        return [np.concatenate([h[0] * g, np.cross(h[1:], g)]) for h in np.unique(held, axis=0)]
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""
@@ -408,7 +429,8 @@ class KnownEffects:
         empty = replace(now, payload=lay, load="before", time=at - age - 0.1)
         put_on = replace(now, time=at - age + 0.1)
         past = self.remember(Past(), empty, put_on)
-        return replace(past, known=seconds is not None, recorded=lay_before is not None, standing=start is None)
+        known, said = seconds is not None, lay_before is not None
+        return replace(past, known=known, recorded=said, standing=start is None, on_nothing=known and not said)
 
 
 def _joints(columns: Iterable[Column], functions: Collection[str]) -> list[int]:

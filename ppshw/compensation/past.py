@@ -48,6 +48,7 @@ class Past:
 
     known     whether it reaches back to the last change of load
     recorded  whether it begins with a recording's first visit, or with what else had lain there for long
+    on_nothing  whether its load is taken to have been put on an empty machine, for want of anybody who says so
     standing  whether nobody says where the move starts: the machine stood where it goes to
     """
 
@@ -57,6 +58,7 @@ class Past:
     compliance: Array | None = None
     known: bool = False
     recorded: bool = False
+    on_nothing: bool = False
     standing: bool = False
 
     def before(self, q: Array) -> tuple[Moment, ...]:

@@ -41,6 +41,7 @@ BLOCK = 4096
 # A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that; and
 # a joint is hardly ever gone past where it came to, at more than half of the visits. Ours.
 ELSEWHERE, BY_A_ROW, AGAINST = 0.01, 0.2, 0.9
+AT_REST_M = 5e-5  # that a servo at rest may move the reflectors, of a beam's 0.5 mm
 
 
 def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Recording, NDArray[np.bool_]]:
@@ -128,6 +129,10 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
     if hardly := _hardly_loaded(recording):
         said.append(hardly)
     said += [*_where_it_was_not_sent(machine, recording), *_against_its_way(machine, recording)]
+    said += [
+        f"{joint} rests {far} from where it was sent: what is fitted goes by q_{joint}, and a setpoint is as far off"
+        for joint, far in rests_off(machine, recording).items()
+    ]
     if loads := loads_not_measured(recording):
         same = "the columns Fx … Mz read the same at every visit"
         silent = same if recording.has_wrench else "nothing in columns Fx … Mz"
@@ -169,6 +174,34 @@ def _where_it_was_not_sent(machine: Machine, recording: Recording) -> list[str]:
         how = "late" if rows > 0 else "early"
         said += f": is it one row {how}?" if late[rows] < BY_A_ROW * off else ": do these columns belong together?"
         out.append(said)
+    return out
+
+
+def rests_off(machine: Machine, recording: Recording) -> dict[str, str]:
+    """Per joint that stands off where it was sent to, by what moves the reflectors by 50 µm and more: how far, at half
+    of the visits. Of one that stands elsewhere by a good part of its travel `doubts` says more."""
+    out = {}
+    ideal = frames(machine, recording.q[:1])[0]
+    reflectors = point_positions(machine, recording.q[:1], machine.target_array)[0]
+    for k, joint in enumerate(machine.joints):
+        sent = recording.q_cmd[:, k]
+        low, middle, high = np.quantile(recording.q[:, k] - sent, (0.25, 0.5, 0.75))
+        arm = reflectors.mean(axis=0) - ideal[k + 1, :3, 3]
+        lever = 1.0 if joint.prismatic else float(np.linalg.norm(np.cross(ideal[k + 1, :3, :3] @ joint.axis, arm)))
+        far = float(np.median(np.abs(recording.q[:, k] - sent)))
+        if far * lever > AT_REST_M and far <= ELSEWHERE * float(np.ptp(sent)):
+            unit = "mm" if joint.prismatic else "mrad"
+            out[joint.name] = f"{1e3 * middle:+.3f} {unit} (half of the visits {1e3 * low:+.3f} to {1e3 * high:+.3f})"
+    return out
+
+
+def sides_seen(recording: Recording) -> dict[str, int]:
+    """Per joint that came from one side alone, wherever that is told: the direction in which it came, −1 or 1."""
+    out = {}
+    for k, name in enumerate(recording.joint_names):
+        told = recording.approach[:, k][recording.approach[:, k] != 0]
+        if len(told) >= OF_A_LABEL and np.ptp(told) == 0:
+            out[name] = int(told[0])
     return out
 
 

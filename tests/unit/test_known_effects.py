@@ -316,6 +316,26 @@ def test_creep_is_taken_out_where_the_age_of_the_load_is_known() -> None:
     assert "when the load was changed is not known; taken as 30 min ago" in nobody.effects[0].why
 
 
+def test_a_load_that_is_swapped_for_another_creeps_by_their_difference_and_unsurely_where_nobody_says() -> None:
+    """Taken to have been put on an empty machine: 0.113 mm off where std_mm was 0.040 (a reviewer's)."""
+    kind = creeping_over_half_an_hour()
+    compensator = Compensator(replace(kind.calibration, visits=measured()))
+    lay = (None, *(share * payload() for share in (0.0, 0.5, 1.0)))
+    nobody, nothing, half, same = (asked(compensator, loaded_for=600.0, lay_before=before) for before in lay)
+    plain = asked(Compensator(base()[1]))
+    np.testing.assert_allclose(nobody.corrected, nothing.corrected, atol=1e-12)
+    whole = nothing.corrected - plain.corrected
+    np.testing.assert_allclose(half.corrected - plain.corrected, 0.5 * whole, atol=2e-7)
+    np.testing.assert_allclose(same.corrected, plain.corrected, atol=2e-7)
+    assert "what lay there before is not known; taken as nothing" in nobody.effects[0].why
+    assert (nobody.effects[0].taken_out, nothing.effects[0].why) == (True, "")
+    # of what the loads of the recording would leave
+    left = nothing.predicted_error[1] - same.predicted_error[1]
+    assert 0.2 * abs(left) < np.sqrt(nobody.std[1] ** 2 - nothing.std[1] ** 2) < 1.0 * abs(left)
+    bare = asked(kind, loaded_for=600.0)  # of a calibration that keeps no loads: nothing, or as much
+    assert np.sqrt(bare.std[1] ** 2 - nothing.std[1] ** 2) == pytest.approx(0.5 * abs(left), rel=0.05)
+
+
 def test_creep_is_taken_as_it_was_when_a_load_had_lain_there_for_the_longest() -> None:
     """Forms that agree as far as they were seen go far apart beyond: 0.67 mm off after six hours, where loads had been
     changed every 12 minutes."""
@@ -328,7 +348,7 @@ def test_creep_is_taken_as_it_was_when_a_load_had_lain_there_for_the_longest() -
     assert np.abs(young.corrected - oldest.corrected).max() > 1e-6
     assert "longer than any did while it was measured (30 min)" in older.effects[0].why
     assert older.effects[0].taken_out
-    assert not young.effects[0].why
+    assert "longer than any" not in young.effects[0].why
 
 
 def test_a_load_that_lay_there_for_long_makes_the_next_one_no_older() -> None:
@@ -522,8 +542,8 @@ def test_a_drift_makes_unsure_by_how_far_it_went() -> None:
     assert found == pytest.approx(np.hypot(1e-5 * HOURS / np.sqrt(12), itself), rel=0.05)
 
 
-@pytest.mark.parametrize("known", [{}, {"loaded_for": 60.0}])
-def test_how_long_a_load_has_hung_there_makes_unsure_where_nobody_knows(known: dict[str, float]) -> None:
+@pytest.mark.parametrize("known", [{}, {"loaded_for": 60.0, "lay_before": np.zeros(6)}])
+def test_how_long_a_load_has_hung_there_makes_unsure_where_nobody_knows(known: dict[str, object]) -> None:
     args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "exponential"}
     compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
     fresh, old = (asked(compensator, loaded_for=age).predicted_error[1] for age in (0.0, 3e4))

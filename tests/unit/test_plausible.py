@@ -12,7 +12,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import doubts, misread, without_gross_errors
+from ppshw.identification.plausible import doubts, misread, rests_off, without_gross_errors
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.offline import simulate_recording_csv
@@ -170,3 +170,37 @@ def test_loads_of_less_than_two_kilograms_are_asked_about(measured: tuple[Machin
     for other in (replace(recording, load=labels), replace(recording, wrench=0.0 * recording.wrench, load=labels),
                   replace(recording, wrench=recording.wrench / 1000.0, load=("box",) * len(recording))):  # fmt: skip
         assert not any("kilonewtons" in line for line in doubts(machine, other))
+
+
+def test_an_axis_that_rests_off_where_it_was_sent_is_said_of_it(measured: tuple[Machine, Recording]) -> None:
+    """Compensated setpoints were 0.3 mm off without a word (a reviewer's drive that droops)."""
+    machine, recording = measured
+    assert rests_off(machine, recording) == {}
+    k = next(k for k, joint in enumerate(machine.joints) if joint.prismatic)
+    name, sent = machine.joint_names[k], recording.q_cmd.copy()
+    sent[:, k] += 3e-4
+    droops = replace(recording, q_cmd=sent)
+    (said,) = (line for line in doubts(machine, droops) if name in line)
+    assert said.startswith(f"{name} rests -0.300 mm")
+    calibration = Calibration.of(identify(machine, droops), droops, "joint")
+    assert any(f"{name} rested -0.300 mm" in line for line in calibration.doubts())
+    sent[:, k] -= 3e-4 - 4e-5  # a tenth of what the beam allows, and less
+    assert rests_off(machine, replace(recording, q_cmd=sent)) == {}
+
+
+def test_a_joint_that_always_came_from_one_side_is_said_where_it_comes_from_the_other(
+    measured: tuple[Machine, Recording],
+) -> None:
+    machine, recording = measured
+    approach = recording.approach.copy()
+    approach[:, 1] = 1
+    oneside = replace(recording, approach=approach)
+    found = identify(machine, oneside)
+    calibration, name = Calibration.of(found, oneside, "joint"), machine.joint_names[1]
+    assert calibration.provenance["one_side"] == {name: 1}
+    comes = np.zeros(machine.n)
+    for side, said in ((1.0, []), (0.0, ["may come in the other"]), (-2.0, ["comes in the other"])):
+        comes[1] = side
+        lines = calibration.other_sides(comes)
+        assert [s in line for s, line in zip(said, lines, strict=True)] == [True] * len(said)
+    assert "one_side" not in Calibration.of(found, recording, "joint").provenance
