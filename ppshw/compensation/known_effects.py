@@ -112,8 +112,9 @@ class KnownEffects:
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if any(c.function == "hopping" for c in effect.columns):
             return True, "as at the recording's end; it hops, and where it is now cannot be known"
-        if effect.name == "zero_shift":
-            return True, "as at the recording's end; whether it was homed since cannot be known"
+        if _as_left(effect):
+            again = "homed" if effect.name == "zero_shift" else "tared"
+            return True, f"as at the recording's end; whether it was {again} since cannot be known"
         if any(_by_clock(c) for c in effect.columns):
             return False, "how far it has gone since it was measured cannot be known; taken as it was on average"
         if effect.name == "creep" and not past.known:
@@ -255,7 +256,7 @@ class KnownEffects:
         each = np.zeros((GRID, self.machine.n + 1, 6))
         for effect in self.effects:
             for column, value in zip(effect.columns, effect.values, strict=True):
-                stays = effect.name == "zero_shift" and column.function != "hopping"
+                stays = _as_left(effect) and column.function != "hopping"
                 follows = _by_clock(column) or column.args.get("name") == "time"
                 if effect.of_instrument or not follows or stays or column.args.get("form") in BEFORE_IT:
                     continue
@@ -297,7 +298,7 @@ class KnownEffects:
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         values = self._over_time(column, context)
-        return values[-1] if effect.name == "zero_shift" else np.asarray(values.mean(axis=0))
+        return values[-1] if _as_left(effect) else np.asarray(values.mean(axis=0))
 
     def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
         """(n+1, 6) with a value for each component that a Gaussian process moves."""
@@ -456,6 +457,12 @@ def _mean_bump(column: Column) -> float:
         return 0.0
     knots = [int(column.args[k]) for k in ("knot", "a", "b") if k in column.args]
     return float(np.prod([bump(ranks, k, count).mean() for k in knots]))
+
+
+def _as_left(effect: Effect) -> bool:
+    """Whether it jumped and stays so: a joint's zero, or that of one of the force sensor's channels."""
+    jumps = len(effect.columns) == 1 and effect.columns[0].args.get("time") == "step"
+    return effect.name == "zero_shift" or (effect.name == "wrench_error" and jumps)
 
 
 def _by_clock(column: Column) -> bool:

@@ -427,6 +427,22 @@ def test_creep_of_a_run_s_first_load_is_by_when_it_was_put_on_and_what_lay_there
     assert np.abs(missing).max() > 1e-6
 
 
+@pytest.mark.parametrize("pause_h", [0.1, 2.0])
+def test_creep_of_a_run_s_later_load_is_by_when_that_was_put_on(pause_h: float) -> None:
+    """It was taken to have been put on halfway between two visits, also after a pause of two hours."""
+    compensator = creeping_over_half_an_hour()
+    move, began, age = Corrections(compensator), 1.7e9, 120.0
+    here = move(POSE, payload(), POSE, Around(began, "box", {}, began - 4 * 3600.0, np.zeros(6)))
+    now = began + 3600.0 * pause_h + age
+    there = move(POSE, 1.5 * payload(), here, Around(now, "more", {}, now - age, payload()))
+    plain = compensator.for_joints(POSE, 1.5 * payload(), "treatment", Circumstances(loaded_for=1e5)).corrected
+    lay = asked(compensator, loaded_for=4 * 3600.0 + now - began, lay_before=np.zeros(6)).corrected
+    box = asked(Compensator(base()[1])).corrected
+    more = asked(compensator, loaded_for=age, lay_before=np.zeros(6)).corrected - box  # of one box, put on now
+    np.testing.assert_allclose(there - plain, 0.5 * more + (lay - box), atol=5e-7)
+    assert np.abs(more).max() > 5e-6
+
+
 def test_another_load_under_the_label_of_one_that_lay_there_before_is_another_load() -> None:
     """0.43 mm off, of 0.02, where the run's first load had the label of the calibration recording's last."""
     ends = []
@@ -646,6 +662,20 @@ def test_a_shifted_zero_is_taken_as_it_was_left() -> None:
     found = asked(knowing("zero_shift", "vertical", column, 2e-4), around=Around(1.7e9))
     assert np.linalg.norm(miss(found.corrected, 2e-4)) < 5e-5
     assert "whether it was homed since cannot be known" in found.effects[0].why
+
+
+def test_a_force_sensor_whose_zero_jumped_reads_as_it_was_left() -> None:
+    """It was taken as it had been on average, half of it where it jumped in the middle."""
+    ends = []
+    for jumped in (0.5, 6.0):
+        args = {"component": 1, "time": "step", "tau": jumped}
+        found = asked(knowing("wrench_error", None, Column("frames", "sensor_error", args), 200.0))
+        assert (found.effects[0].taken_out, found.effects[0].why) == (
+            True, "as at the recording's end; whether it was tared since cannot be known",
+        )  # fmt: skip
+        ends.append(found.corrected)
+    np.testing.assert_array_equal(ends[0], ends[1])
+    assert np.abs(ends[0] - asked(Compensator(base()[1])).corrected).max() > 1e-5
 
 
 @pytest.mark.parametrize(("times", "left"), [([0.5, 2.0, 3.0], 2e-4), ([0.5, 2.0], 0.0)])
