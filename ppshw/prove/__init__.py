@@ -28,7 +28,7 @@ import numpy as np
 
 from ppshw.errors import BadInput, PpshwError
 from ppshw.prove.page import write_page
-from ppshw.prove.score import Json, judge, read_answer, score_case
+from ppshw.prove.score import Json, SealBroken, judge, open_seal, read_answer, score_case
 from ppshw.prove.table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
 from ppshw.whole_file import write_text
@@ -38,6 +38,7 @@ from ppshw.whole_file import write_text
 Diagnoser = Callable[..., Json]
 Say = Callable[[str, int, int], None]
 TIME_LIMIT_S = 900.0
+SEALS = "seals.txt"
 EFFECTS = (
     "backlash", "friction_hysteresis", "thermal_growth", "drift", "tracker_scale", "periodic_transmission",
     "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
@@ -63,7 +64,7 @@ class Spec:
 
     @property
     def name(self) -> str:
-        """Says nothing of what is concealed."""
+        """A number; whoever knows how a deck is shuffled knows its effect and size, not where it sits nor its form."""
         return f"{self.seed}"
 
     def command(self, case: Path, sealed: Path) -> list[str]:
@@ -141,6 +142,13 @@ def run_prove(
     lost = run_jobs(
         task, jobs, cluster=Cluster(workers, scheduler), say=lambda done, total: say("prove", done, total)
     ).lost
+    seals = _published(out)
+    for spec in cases:
+        if spec.name not in lost:  # also of a case whose score lay there: a truth may be touched later
+            try:
+                open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
+            except (SealBroken, OSError) as exc:
+                lost[spec.name] = str(exc)
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
     # an earlier program, whose scores are taken up, may have judged by other rules
     scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
@@ -168,16 +176,24 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
         raise BadInput(
             f"{made.stderr.strip() or f'the generator ended with {made.returncode}'}"
         )
-    with (out / "seals.txt").open("a", encoding="utf-8") as file:  # one short line: appended whole
-        file.write(f"{spec.name} {made.stdout.strip()} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")
+    seal = made.stdout.strip()
+    with (out / SEALS).open("a", encoding="utf-8") as file:  # one short line: appended whole
+        file.write(f"{spec.name} {seal} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")
     answers.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     answer = diagnoser(case, answers, spec.without) if spec.without else diagnoser(case, answers)
     seconds = time.perf_counter() - began
     write_text(answers / "answer.json", json.dumps(answer, indent=1))
-    found = score_case(case, sealed, answer, answers / "calibration.json", seconds)
+    found = score_case(case, sealed, seal, answer, answers / "calibration.json", seconds)
     write_text(score, json.dumps({"spec": asdict(spec), **found}, indent=1))
     return score
+
+
+def _published(out: Path) -> dict[str, str]:
+    """Case → the hash that was published last of its truth."""
+    file = out / SEALS
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return {name: seal for name, seal, *_ in map(str.split, lines)}
 
 
 def ppshw_diagnose(case: Path, answers: Path, without: str = "") -> Json:

@@ -55,9 +55,8 @@ class SealBroken(PpshwError):
     """The truth is not the one whose hash was published before the diagnosis."""
 
 
-def open_seal(case: Path, sealed: Path) -> Json:
-    """The truth, if it still is the one that was sealed. Raises SealBroken when it is not."""
-    published = (case / "seal.sha256").read_text(encoding="utf-8").strip()
+def open_seal(published: str, sealed: Path) -> Json:
+    """The truth, if it still is the one whose hash was published. Raises SealBroken when it is not."""
     text = (sealed / "truth.json").read_bytes()
     found = hashlib.sha256(text).hexdigest()
     if found != published:
@@ -66,13 +65,16 @@ def open_seal(case: Path, sealed: Path) -> Json:
     return truth
 
 
-def score_case(case: Path, sealed: Path, answer: Json, calibration: Path | None, seconds: float) -> Json:
+def score_case(
+    case: Path, sealed: Path, published: str, answer: Json, calibration: Path | None, seconds: float
+) -> Json:  # fmt: skip
     """Everything the table wants to know of one case.
 
+    published    the truth's hash, from before the diagnosis; what lies in the case's folder it could have changed
     answer       what `diagnose` said (contract §4)
     calibration  the extended calibration that it wrote, where it did
     """
-    truth = open_seal(case, sealed)
+    truth = open_seal(published, sealed)
     machine = load_machine(case / "machine.yaml")
     recording = load_recording(case / "recording.csv", machine)
     held_out = case / "held_out.csv"

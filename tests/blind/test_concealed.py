@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 import re
@@ -85,6 +86,10 @@ def test_the_repeatability_is_what_reflectors_scatter_by_when_a_pose_is_driven_t
     assert found == pytest.approx(np.hypot(floor, 20e-6 * np.sqrt(3)), rel=0.35)
 
 
+def seal_of(case: Path) -> str:
+    return (case / "seal.sha256").read_text(encoding="utf-8").strip()
+
+
 def test_nothing_in_the_case_folder_betrays_the_effect(tmp_path: Path) -> None:
     quiet = make(tmp_path / "null", "null", 4, 0.0)
     for effect in (*KNOWN, *UNKNOWN):
@@ -104,11 +109,11 @@ def test_nothing_in_the_case_folder_betrays_the_effect(tmp_path: Path) -> None:
 
 def test_a_truth_that_was_touched_after_sealing_is_refused(tmp_path: Path) -> None:
     case = make(tmp_path, "drift")
-    assert open_seal(case, tmp_path / "sealed")["effects"][0]["effect"] == "drift"
+    assert open_seal(seal_of(case), tmp_path / "sealed")["effects"][0]["effect"] == "drift"
     file = tmp_path / "sealed/truth.json"
     file.write_text(file.read_text().replace("drift", "creep"))
     with pytest.raises(SealBroken, match=r"truth.json: hash \w{12}, but \w{12} was published"):
-        open_seal(case, tmp_path / "sealed")
+        open_seal(seal_of(case), tmp_path / "sealed")
 
 
 def test_the_campaign_is_one_that_can_be_diagnosed(tmp_path: Path) -> None:
@@ -398,7 +403,7 @@ def test_an_oracle_gets_full_marks_and_silence_none(tmp_path: Path) -> None:
     scores: dict[str, list[dict[str, Any]]] = {"oracle": [], "silent": []}
     for k, effect in enumerate(("null", "backlash", "cross_coupling", "drift", "target_moved", "pair", "unknown")):
         make_case(k, "arm6", effect, 1.0, tmp_path / f"cases/{k}", tmp_path / f"sealed/{k}", 60, 60)
-        truth = open_seal(tmp_path / f"cases/{k}", tmp_path / f"sealed/{k}")
+        truth = open_seal(seal_of(tmp_path / f"cases/{k}"), tmp_path / f"sealed/{k}")
         told = [{**e, "sqrt_lambda": 7.0, "power": 1.0} for e in truth["effects"]]
         for who, answer in (("oracle", oracle(tmp_path / f"cases/{k}", tmp_path)), ("silent", CONSISTENT)):
             scores[who].append(score_of(truth, told, answer, None, 1.0))
@@ -461,6 +466,24 @@ def test_a_lost_worker_costs_its_case_alone_and_a_second_run_takes_up_where_it_s
     assert "http" not in page
 
 
+def cheats(case: Path, answers: Path) -> dict[str, Any]:
+    """Writes the truth that it answers, and its hash where it lies in its own folder."""
+    truth = case.parents[1] / "sealed" / case.name / "truth.json"
+    truth.write_text(truth.read_text().replace("backlash", "drift"))
+    (case / "seal.sha256").write_text(hashlib.sha256(truth.read_bytes()).hexdigest() + "\n")
+    return CONSISTENT
+
+
+def test_a_diagnosis_that_writes_its_own_truth_is_lost_and_so_is_a_truth_that_is_touched_later(tmp_path: Path) -> None:
+    (case,) = cases = [Spec(2, "pps", "backlash", 1.0, 80, 60)]
+    broken = r"truth.json: hash \w{12}, but \w{12} was published"
+    assert re.search(broken, run_prove(tmp_path / "a", cases, cheats, workers=0)["lost"][case.name])
+    assert run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"] == {}
+    truth = tmp_path / "b/sealed" / case.name / "truth.json"
+    truth.write_text(truth.read_text().replace("backlash", "drift"))
+    assert re.search(broken, run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"][case.name])
+
+
 def test_a_name_with_the_wrong_joint_is_no_right_joint_and_a_wrong_name_is_wrong() -> None:
     truth = [
         {
@@ -500,23 +523,23 @@ def test_a_name_with_the_wrong_joint_is_no_right_joint_and_a_wrong_name_is_wrong
 def test_a_wrong_name_is_scored_with_what_it_leaves(tmp_path: Path) -> None:
     """Its field goes on over the later visits; what the name leaves of it is of those that were fitted."""
     case = make(tmp_path, "zero_shift", 7, 1.0, visits=120)
-    joint = open_seal(case, tmp_path / "sealed")["effects"][0]["joint"]
+    joint = open_seal(seal_of(case), tmp_path / "sealed")["effects"][0]["joint"]
     said = {"effect": "thermal_growth", "joint": joint, "component": "ty", "covariate": "temp_air_C", "weight": 0.9,
             "alternatives": [], "aliases": []}  # fmt: skip
     answer = {"visits": 90, "verdict": "missing_physics", "findings": [said], "unexplained": None}
-    found = score_case(case, tmp_path / "sealed", answer, None, 1.0)
+    found = score_case(case, tmp_path / "sealed", seal_of(case), answer, None, 1.0)
     assert found["wrong"] == ["thermal_growth"]
     (truth,) = found["truth"]
     assert 0.0 < found["sqrt_lambda_left"] < truth["sqrt_lambda"]
     assert found["held_out"]["rms_after_mm"] == found["held_out"]["rms_before_mm"]
     scatter = {**said, "effect": "outliers", "joint": None, "component": None, "covariate": "visit", "weight": 1.0}
-    both = score_case(case, tmp_path / "sealed", {**answer, "findings": [scatter, said]}, None, 1.0)
+    both = score_case(case, tmp_path / "sealed", seal_of(case), {**answer, "findings": [scatter, said]}, None, 1.0)
     assert both["sqrt_lambda_left"] == found["sqrt_lambda_left"]  # moves nothing
 
 
 def test_the_bound_grows_with_the_effect_and_sees_nothing_of_what_the_base_model_can_be(tmp_path: Path) -> None:
     case = make(tmp_path, "zero_shift", 7, 1.0, visits=200)
-    truth = open_seal(case, tmp_path / "sealed")
+    truth = open_seal(seal_of(case), tmp_path / "sealed")
     machine = load_machine(case / "machine.yaml")
     recording = load_recording(case / "recording.csv", machine)
     base = identify(machine, recording)
