@@ -78,7 +78,7 @@ def diagnose(a: argparse.Namespace) -> None:
         from ppshw.report.diagnosis import write_diagnosis
 
         with Bar() as bar, bar.expect("page", REPORT_S):
-            write_diagnosis(found, Path(a.page))
+            write_diagnosis(found, Path(a.page), warnings)
     if a.out is not None:
         extended(found.space, found.found, answer["findings"]).save(a.out)
     text = json.dumps(answer, indent=1)

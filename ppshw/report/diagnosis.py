@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -51,13 +52,16 @@ class Shown:
     picture: Picture
 
 
-def write_diagnosis(diagnosis: Diagnosis, path: Path, now: datetime | None = None) -> None:
-    """Write the page, whole or not at all. Raises ReportError where it cannot be written."""
-    text = render(diagnosis, now or datetime.now(UTC))
+def write_diagnosis(
+    diagnosis: Diagnosis, path: Path, warnings: Sequence[str] = (), now: datetime | None = None
+) -> None:  # fmt: skip
+    """Write the page, whole or not at all, with what is odd about the recording. Raises ReportError where it cannot be
+    written."""
+    text = render(diagnosis, now or datetime.now(UTC), warnings)
     write_text(path, text, ReportError)
 
 
-def render(diagnosis: Diagnosis, now: datetime) -> str:
+def render(diagnosis: Diagnosis, now: datetime, warnings: Sequence[str] = ()) -> str:
     """The page as HTML that needs nothing else: style and pictures are inside. now: aware, said on the page as UTC."""
     answer, space = diagnosis.answer, diagnosis.space
     units = {f"q_{j.name}{part}": j.unit for j in space.machine.joints for part in ("", FOLDED)}
@@ -84,6 +88,7 @@ def render(diagnosis: Diagnosis, now: datetime) -> str:
         checks_picture=residuals.checks_picture(answer["checks"]["before"], answer["checks"]["after"]),
         said={when: sentence(answer["checks"][when]) for when in ("before", "after")},
         remembers=serial.sentence(answer),
+        warnings=warnings,
         odd=ODD,
         how_rare=how_rare,
     )

@@ -287,7 +287,9 @@ def test_what_acts_on_several_frames_is_read_in_one_and_not_between_reflectors(r
 
 def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     answer = _diagnosed(rig).answer | {"verdict": "consistent", "findings": [], "checks": before_and_after(rig.space)}
-    page = render(Diagnosis(answer, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
+    odd = ["no column time: hours are <made up>"]
+    page = render(Diagnosis(answer, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC), odd)
+    assert "<li>no column time: hours are &lt;made up&gt;</li>" in page
     assert "nothing is missing beyond noise" in page
     assert "scatter has" not in page
     page = render(Diagnosis(answer | {"serial_correlation": 0.4}, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
