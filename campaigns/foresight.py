@@ -122,7 +122,7 @@ class Foresight:
 
     def _of(self, effect: str, joints: Sequence[str | None]) -> str:
         every = [name[1] for name in [*(s.name for s in self.seen), *self.absent] if name[0] == effect]
-        if joints == [None]:
+        if every == [None]:
             return ""
         if len(joints) == len(every) > 1:
             return " of every joint"

@@ -137,11 +137,11 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
         ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
     slowly = f.name[0] == "drift" and tried.candidates[best].frame == tried.candidates[f.best].frame
     least = max((1.0 + NEARLY) * own - ahead, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
-    behind = rival / HANDICAP > least or against or every < WITH_ALL
-    if f.p > NAMED:
-        best, behind = tried.strongest(evidence, freely), True
-        rival = HANDICAP * float(evidence[best] + tried.log_share[best])
-    return _Answer(own, rival, best, not (behind or _beside_a_riddle(tried, f, others)))
+    behind = rival / HANDICAP > least or against or every < WITH_ALL or f.p > NAMED
+    if stands := not (behind or _beside_a_riddle(tried, f, others)):
+        return _Answer(own, rival, best, stands)
+    best = tried.strongest(evidence, freely)  # what means the same as the name, too, says over which columns it goes
+    return _Answer(own, HANDICAP * float(evidence[best] + tried.log_share[best]), best, stands)
 
 
 def _as_play(tried: Tried, f: Found, answer: _Answer) -> Found | None:
