@@ -17,6 +17,9 @@ LEAST_BEND = 1e-6  # m, rad
 # Part of what the mass of a body does, or a shift along another axis: one along gravity bends by tilts of a thousandth
 # alone, and something else that went by them was a body shifted by 150 t m (another author's telescope).
 HARDLY = 0.02
+# A joint that turns by less pulls nothing along: a coupling to a couch that tilts by 0.2 rad was a chain there of 35 kg
+# (another author's).
+LEAST_TURN = 0.5  # rad
 
 
 def own_moment(c: Context, frame: int, component: int) -> Column | None:
@@ -31,18 +34,23 @@ def _body(c: Context, joint: int, **growing: int) -> tuple[Column, ...]:
     return that_act(c, every, HARDLY)
 
 
+def _pulls(c: Context, joint: int) -> bool:
+    """Whether a joint goes far enough to pull a chain or a hose along."""
+    return c.machine.joints[joint].prismatic or float(np.ptp(c.recording.q[:, joint])) > LEAST_TURN
+
+
 def moving_weight(c: Context) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         where = ("moving_weight", name, name, None, f"q_{name}")
         for column in _body(c, k):
             yield Candidate(*where, (column,), share=1.0 if column.args["what"] == "mass" else 0.2)
-        linear, squared = _body(c, k, grows=1), _body(c, k, grows=2)
         # a cable chain hangs there, as long as its joint has it
+        linear, squared = (_body(c, k, grows=power) if _pulls(c, k) else () for power in (1, 2))
         for some in (linear[:1], linear[:1] + squared[:1], linear + squared):
             if some:
                 yield Candidate(*where, some, share=0.3)
         for other, by in moving_joints(c):  # a hose that another joint pulls along
-            if other != k and (hose := _body(c, k, grows=1, by=other)):
+            if other != k and _pulls(c, other) and (hose := _body(c, k, grows=1, by=other)):
                 for column in hose:
                     yield Candidate("moving_weight", name, name, None, f"q_{by}", (column,), share=0.03)
                 yield Candidate("moving_weight", name, name, None, f"q_{by}", hose, share=0.05)
