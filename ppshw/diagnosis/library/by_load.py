@@ -53,7 +53,7 @@ def nonlinear(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, {**where, **args}, frame, comp),), shape,
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
-            if _changes_side(c.wrenches[:, frame, b]):
+            if changes_side(c.wrenches[:, frame, b]):
                 for column, shape, way in _opened(c, frame, b):
                     yield Candidate(
                         "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, 0.5,
@@ -102,7 +102,7 @@ def clearance(c: Context) -> Iterator[Candidate]:
                         (Column("frame", function, args, frame, comp),), _of_load(c, frame, b, shape),
                         share if comp == b else 0.1 * share, way=int(comp == b),  # with the load, never against it
                     )  # fmt: skip
-            uneven = (0.02, 0.08, 0.17, 0.35) if _changes_side(c.wrenches[:, frame, b]) else ()
+            uneven = (0.02, 0.08, 0.17, 0.35) if changes_side(c.wrenches[:, frame, b]) else ()
             for wide in uneven:  # the gap is wider on one side than on the other
                 args = {"frame": frame, "component": b, "width": wide}
                 sides = tuple(Column("frame", "load_side", {**args, **e}, frame, b) for e in ({}, {"either": True}))
@@ -114,17 +114,17 @@ def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any]
     """How a joint may fall to its other side by a component of its load, and the shares of these."""
     w = c.wrenches[:, frame, b]
     for offset in FALLS_AT:
-        if _changes_side(w - offset * w.std()):
+        if changes_side(w - offset * w.std()):
             share = 1.0 if abs(offset) < 0.5 else PRELOADED
             yield from (("load_side", {"width": wide, "offset": offset}, share) for wide in SIDES)
     for wide, offset in itertools.product(STOPS, STOPS_ABOUT):
-        if _changes_side(w - offset * w.std()):
+        if changes_side(w - offset * w.std()):
             yield "load_side", {"width": wide, "offset": offset, "hard": True}, 0.5
     if min((w > 0).mean(), (w < 0).mean()) <= HARDLY_CHANGES:  # whatever balances the rest of it
         middle = np.quantile(w, BALANCED) / w.std()
         for wide, offset in itertools.product((0.1, 0.3), map(float, middle)):
             yield "load_side", {"width": wide, "offset": offset}, PRELOADED
-    if _changes_side(w):
+    if changes_side(w):
         yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
     for of, wide in itertools.product(_of_payload(c, frame, b), SIDES):
         yield "load_side", {"width": wide, **of}, 0.5
@@ -137,12 +137,12 @@ def _of_load(c: Context, frame: int, component: int, side: Mapping[str, Any]) ->
 
 def _of_payload(c: Context, frame: int, component: int) -> list[dict[str, str]]:
     """Where its own weight may be balanced, so that the payload alone pushes a joint over to its other side."""
-    if c.recording.has_wrench and _changes_side(load_of(c, frame, component, "payload")):
+    if c.recording.has_wrench and changes_side(load_of(c, frame, component, "payload")):
         return [{"of": "payload"}]
     return []
 
 
-def _changes_side(w: Array) -> bool:
+def changes_side(w: Array) -> bool:
     return bool(min((w > 0).sum(), (w < 0).sum()) >= FEW_BEYOND)
 
 

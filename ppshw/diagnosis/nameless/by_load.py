@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.by_instrument import MOST_TARES
+from ppshw.diagnosis.library.by_load import changes_side
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
 from ppshw.diagnosis.library.weight import own_moment
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
+from ppshw.terms.shapes.loads import load_of
 
 Array = NDArray[np.float64]
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
@@ -82,12 +84,14 @@ def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterato
 
 
 def _suddenly(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:
-    """A frame gives way at once where its load passes some value, which smooth functions only follow by and by."""
-    w = c.wrenches[:, frame, component]
-    for at in np.quantile(w, SUDDENLY_AT) / w.std():
-        args = {"frame": frame, "component": component, "width": SUDDEN, "offset": float(at)}
-        column = Column("frame", "load_side", args, frame, component)
-        yield replace(rival(c, frame, component, (load,), [column]), share=1 / len(SUDDENLY_AT))
+    """A frame gives way at once where its load passes some value, or changes sign, all of it or the payload's part,
+    which smooth functions only follow by and by."""
+    w, where = c.wrenches[:, frame, component], {"frame": frame, "component": component, "width": SUDDEN}
+    ways: list[dict[str, object]] = [{"offset": float(at)} for at in np.quantile(w, SUDDENLY_AT) / w.std()]
+    ways += [{"of": of} for of in ("", "payload") if changes_side(load_of(c, frame, component, of))]
+    for way in ways:
+        column = Column("frame", "load_side", {**where, **way}, frame, component)
+        yield replace(rival(c, frame, component, (load,), [column]), share=1 / len(ways))
 
 
 def _bends_most(c: Context, frame: int) -> int | None:
