@@ -7,8 +7,9 @@ With X the base model's design, V = R + X Λ Xᵀ and Z_B the forms of B with a 
 left that neither B nor the base model can mimic. f moves the reflectors by the repeatability, rms over a recording that
 has every candidate in it; the middling form of A speaks for it. Both ways round: A taken for B, B for A.
 
-Visits come in blocks (`blocks`), chosen greedily for the gain per minute. A block adds rᵀ C⁻¹ r to S, with r its
-columns less what the base model predicts of them and C = I + x P xᵀ the prediction's covariance.
+Visits come in blocks (`blocks`), chosen greedily for the gain per minute, or per visit where visits are short. A block
+adds rᵀ C⁻¹ r to S, with r its columns less what the base model predicts of them and C = I + x P xᵀ the prediction's
+covariance.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ Progress = Callable[[int, int], None]
 # Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis-method.md §7).
 ENOUGH = 6.0
 FORMS, MANY = 8, 60  # of each name, to choose visits by; to say how much alike two names may be
-HELP = 0.1  # by which √λ must grow at least, or the visits are of no help
+HELP = 0.3  # by which √λ must grow at least, or the visits are of no help
+NEEDLESS = 0.02  # of all that is gained: a block that adds less is left out
 TAIL = 12  # visits before a block that its history is computed from
 AMPLITUDE = 3.0  # of the other effect, in units of the repeatability
 MOST_VISITS = 30
@@ -97,7 +99,10 @@ class Separation:
         told: dict[str, int] = {}
         for block in self.blocks:
             told[block.what] = told.get(block.what, 0) + len(block.q)
-        return [*out, *(f"  {what}: {count} visits" for what, count in told.items())]
+        out += [f"  {what}: {count} visits" for what, count in told.items()]
+        if self.blocks and any(r["after"] < ENOUGH for r in self.rows):
+            out.append("more visits (--visits) go farther where that is not enough")
+        return out
 
 
 def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
@@ -123,7 +128,7 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
         rows.append((x, f))
         if progress:
             progress(k, len(offered))
-    chosen = _greedy(state, offered, rows, pairs, wanted.visits or MOST_VISITS, machine)
+    chosen = _chosen(state, offered, rows, pairs, wanted.visits or MOST_VISITS, machine)
     picked = tuple(sorted((offered[k] for k in chosen), key=lambda b: b.case.name))
     after = laid.state(_followed_by(recording, picked, machine)) if picked else before
     table = [
@@ -319,30 +324,59 @@ class _Laid:
         return x.reshape(-1, x.shape[2]), f.reshape(-1, f.shape[2])
 
 
-def _greedy(
+def _chosen(
     state: _State, offered: Sequence[Block], rows: Sequence[tuple[Array, Array]], pairs: Sequence[_Pair], most: int,
     machine: Machine,
 ) -> list[int]:  # fmt: skip
-    """Blocks in the order they are taken: the most gain per minute, until all are told apart or `most` is reached."""
-    minutes, before = np.array([block.seconds(machine).sum() / 60.0 for block in offered]), state.s
-    lacking = [pair for pair in pairs if pair.strength(before) < ENOUGH]
-    chosen: list[int] = []
-    made = 0
-    while min(pair.strength(state.s) for pair in pairs) < ENOUGH:
+    """Blocks in the order they are taken: for the most gain per minute where that tells all apart within `most` visits;
+    else for the most per visit, of which there are too few, where that comes farther. None that hardly help."""
+    sizes = np.array([float(len(block.q)) for block in offered])
+    minutes = np.array([block.seconds(machine).sum() / 60.0 for block in offered])
+    found = _greedy(state, rows, pairs, minutes, sizes, most)
+    if not _all_told(pairs, _with(state, rows, found).s):
+        found = max(
+            found, _greedy(state, rows, pairs, sizes, sizes, most),
+            key=lambda chosen: _worth(pairs, _with(state, rows, chosen).s),
+        )  # fmt: skip
+    after = _with(state, rows, found).s
+    for k in list(reversed(found)):  # cheap ones are taken early that later ones make needless
+        without = _with(state, rows, [j for j in found if j != k]).s
+        gained = _worth(pairs, after) - _worth(pairs, state.s)
+        if _worth(pairs, after) - _worth(pairs, without) < NEEDLESS * gained:
+            found, after = [j for j in found if j != k], without
+    lacking = [pair for pair in pairs if pair.strength(state.s) < ENOUGH]
+    return found if any(pair.strength(after) > pair.strength(state.s) + HELP for pair in lacking) else []
+
+
+def _greedy(
+    state: _State, rows: Sequence[tuple[Array, Array]], pairs: Sequence[_Pair], cost: Array, sizes: Array, most: int
+) -> list[int]:
+    """The most gain for its cost, block after block, until all are told apart or `most` visits are reached."""
+    state, chosen = state.copy(), list[int]()
+    while not _all_told(pairs, state.s):
         now, best, gain = _worth(pairs, state.s), -1, 0.0
         for k, (x, f) in enumerate(rows):
-            if k in chosen or made + len(offered[k].q) > most:
+            if k in chosen or sizes[chosen].sum() + sizes[k] > most:
                 continue
-            more = (_worth(pairs, state.s + state.gain(x, f)) - now) / minutes[k]
+            more = (_worth(pairs, state.s + state.gain(x, f)) - now) / cost[k]
             if more > gain:
                 best, gain = k, more
         if best < 0:
             break
         state.take(*rows[best])
         chosen.append(best)
-        made += len(offered[best].q)
-    helps = any(pair.strength(state.s) > pair.strength(before) + HELP for pair in lacking)
-    return chosen if helps else []
+    return chosen
+
+
+def _with(state: _State, rows: Sequence[tuple[Array, Array]], chosen: Sequence[int]) -> _State:
+    out = state.copy()
+    for k in chosen:
+        out.take(*rows[k])
+    return out
+
+
+def _all_told(pairs: Sequence[_Pair], s: Array) -> bool:
+    return min(pair.strength(s) for pair in pairs) >= ENOUGH
 
 
 def _worth(pairs: Sequence[_Pair], s: Array) -> float:
