@@ -95,8 +95,9 @@ def power_picture(document: Json, scores: Sequence[Json]) -> Picture:
         c.axes.plot(shown, np.array(detected, dtype=float) + jitter, ".", color=FAINT, ms=4, label="a case")
         order = np.argsort(strength)
         c.axes.plot(shown[order], np.array(powers)[order], color=MARK, label="bound: test of the true form")
-        for r in document["strengths"]:
-            at = min(0.5 * (r["from"] + (r["to"] or 14.0)), 20.0)
+        for k, r in enumerate(document["strengths"]):
+            among = (np.array(strength) >= r["from"]) & (np.array(strength) < (r["to"] or np.inf))
+            at = float(shown[among].mean()) if among.any() else r["from"]
             d = r["detected"]
             c.axes.errorbar(
                 at,
@@ -105,6 +106,7 @@ def power_picture(document: Json, scores: Sequence[Json]) -> Picture:
                 fmt="o",
                 color=AFTER,
                 capsize=3,
+                label=None if k else "share detected, 90 % interval",
             )
         c.axes.set(
             xlabel="visible strength √λ (20: and more)",

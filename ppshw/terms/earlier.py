@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 # A pause after which nothing is known of what went before, unless the earlier visits had longer ones [s]; a choice.
 PAUSE_S = 3600.0
 SAME_S = 1e-3  # visits at the same moment are the same visit
+SAME_POSE = 1e-4  # that two recordings of one visit may round a joint's place apart [m, rad]
 SAME_LOAD_N = 5.0  # and a tenth of it: forces under one label that differ by more are of two loads
 
 
@@ -45,16 +46,15 @@ def known_from_to(end: float, hours: Array) -> tuple[float, float]:
 
 
 def shared(earlier: Recording, recording: Recording) -> Mask:
-    """Which of the earlier visits are a recording's too, by their times (in order)."""
+    """Which of the earlier visits are a recording's too, by their times (in order) and poses."""
     time = recording.time
     if not len(time) or not (np.isfinite(time).all() and np.isfinite(earlier.time).all()):
         return np.zeros(len(earlier), dtype=bool)
-    nearest = np.searchsorted(time, earlier.time)
-    apart = np.minimum(
-        np.abs(earlier.time - time[np.minimum(nearest, len(time) - 1)]),
-        np.abs(earlier.time - time[np.maximum(nearest - 1, 0)]),
-    )
-    return np.asarray(apart <= SAME_S)
+    after = np.searchsorted(time, earlier.time)
+    either = np.stack([np.minimum(after, len(time) - 1), np.maximum(after - 1, 0)])
+    when = np.abs(earlier.time - time[either]) <= SAME_S
+    where = np.abs(earlier.q - recording.q[either]).max(axis=2) <= SAME_POSE
+    return np.asarray((when & where).any(axis=0))
 
 
 def continued(earlier: Recording | None, recording: Recording) -> tuple[Recording, Mask]:
