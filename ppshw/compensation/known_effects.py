@@ -39,8 +39,8 @@ CLOCK = BY_CLOCK_ALONE | {"clock_q"}
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
                      "load_q", "load_turn", "load_power", "load_knee", "load_beyond", "load_side", "load_bump",
                      "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair",
-                     "pair_waves", "product", "body_weight", "sensor_error", "sensor_off", "pulled", "scale",
-                     "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
+                     "pair_waves", "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled",
+                     "scale", "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
 FROM_WAY = frozenset({"reversal", "turning", "slipping", "winding"})  # as far as a joint has gone since it turned back
 FROM_APPROACH = frozenset({"approach", "approach_q"}) | FROM_WAY
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
@@ -110,6 +110,8 @@ class KnownEffects:
             return False, "; ".join([why, *self._beyond(places, now, "how large it is there nothing says")])
         if effect.of_instrument:
             return False, "an error of the instrument, not of the machine; its readings keep it"
+        if any(c.function == "weighed" for c in effect.columns):
+            return False, "what the sensor reads beside what hangs there one reading does not tell; taken as it reads"
         if any(c.function == "hopping" for c in effect.columns):
             return True, "as at the recording's end; it hops, and where it is now cannot be known"
         if _as_left(effect):
@@ -293,7 +295,7 @@ class KnownEffects:
         a zero as it was left, anything else on average over the recording."""
         if column.function in ("covariate", "covariate_pair"):
             return np.asarray(_mean_bump(column))
-        if column.function in ("unexplained", "instead"):  # without them the base model stands as it is
+        if column.function in ("unexplained", "instead", "weighed"):  # without them the base model stands as it is
             return np.zeros(() if column.on == "frame" else (self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])

@@ -166,6 +166,8 @@ def _target(c: Context, k: Candidate) -> list[Column]:
 
 def _wrench(c: Context, k: Candidate) -> list[Column]:
     args = k.columns[0].args
+    if k.columns[0].function == "weighed":
+        return []
     if args.get("time") == "cosine":
         return [
             Column("frames", "sensor_error", {"component": comp, "time": "cosine", "tau": order})

@@ -28,7 +28,7 @@ SMOOTH = frozenset({"covariate", "load_legendre"})
 OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})  # any function of a link's own load is one or the other
 JUMPS = frozenset({"step", "hopping"})
 FALLS = frozenset({"load_side", "load_side_held"})  # to one side or the other, at whichever joint that bears the load
-READ = frozenset({"sensor_error"})  # functions of what the force sensor read, or should have
+READ = frozenset({"sensor_error", "weighed"})  # functions of what the force sensor read, or should have
 
 
 def of_its_kind(

@@ -257,6 +257,8 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
             ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
             names = [f"compliance_{component}_by_{load}" for component, load in ways]
             units = [_per_load(_unit(component), load) for component, load in ways]
+    elif candidate.columns[0].function == "weighed":
+        names, units = ["share_of_what_no_payload_weighs"], ["1"]
     elif candidate.effect == "wrench_error":
         names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
         units = [_misread(column.args) for column in candidate.columns]

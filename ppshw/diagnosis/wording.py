@@ -233,7 +233,9 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"{_high(c, candidate, values, unit)}({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
         f"({size}).",
-        "wrench_error": f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
+        "wrench_error": f"the force sensor reads other than what hangs there weighs in every attitude ({size})."
+        if candidate.columns[0].function == "weighed"
+        else f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
         + f"{_turned(candidate, values)} ({size}).",
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
@@ -313,7 +315,7 @@ def _when(candidate: Candidate) -> str:
 def _turned(candidate: Candidate, values: Array) -> str:
     """Where a component of the wrench is wrong by twice itself."""
     args = candidate.columns[0].args
-    by_itself = candidate.effect == "wrench_error" and args.get("source") == args["component"]
+    by_itself = candidate.effect == "wrench_error" and args.get("source", -1) == args.get("component")
     twice = by_itself and abs(values[0] - 2.0) < NEARLY_TWICE
     return ", nearly as if its sign were turned" if twice else ""
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.diagnosis.library.by_instrument import MOST_TARES
+from ppshw.diagnosis.library.by_instrument import MOST_TARES, weighed
 from ppshw.diagnosis.library.by_load import changes_side
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
@@ -18,6 +18,7 @@ from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.loads import load_of
+from ppshw.terms.shapes.wrenches import beside_the_payload
 
 Array = NDArray[np.float64]
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
@@ -140,6 +141,9 @@ def of_what_was_read(c: Context) -> Iterator[Candidate]:
     or by a smooth function of a position or of what the sensor read besides."""
     if not c.recording.has_wrench:
         return
+    if (beside := weighed(c)) is not None:
+        most = int(np.argmax(beside_the_payload(c).std(axis=0) / c.recording.wrench.std(axis=0).clip(min=1e-9)))
+        yield rival(c, None, None, (WRENCH_COMPONENTS[most],), (beside,))
     for place, component in itertools.product(temperature_places(c), range(6)):
         args = {"component": component, "place": place}
         off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]

@@ -98,7 +98,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         loads.load_legendre,
         creep.creeping, creep.creep,
         wrenches.own_weight, wrenches.own_bend, wrenches.hanging, wrenches.body_weight,
-        sensor.sensor_error, sensor.sensor_off, sensor.pulled,
+        sensor.sensor_error, sensor.weighed, sensor.sensor_off, sensor.pulled,
         instrument.scale, instrument.strain, instrument.angle_error, instrument.range_error, instrument.refraction,
         reflectors.target_shift,
         covariates.covariate, covariates.covariate_pair,

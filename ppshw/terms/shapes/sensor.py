@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.covariates import covariate
 from ppshw.terms.shapes.time_and_heat import clock, temperature
-from ppshw.terms.shapes.wrenches import expected_by
+from ppshw.terms.shapes.wrenches import beside_the_payload, expected_by
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,11 @@ def sensor_error(
     else:
         wrench[:, component] = size
     return -expected_by(c, wrench)
+
+
+def weighed(c: Context) -> Array:
+    """Deflection wrongly expected by all that the sensor read beside what hung there rigidly, one payload a label."""
+    return -expected_by(c, beside_the_payload(c))
 
 
 def sensor_off(c: Context, component: int, name: str, knot: int, count: int) -> Array:

@@ -12,6 +12,7 @@ from ppshw.terms.history import payloads
 from ppshw.terms.shapes.context import Context
 
 Array = NDArray[np.float64]
+LEAST_WEIGHED = 8  # visits of a load label: three of them say what a payload is, the others whether they agree
 
 
 def own_weight(c: Context, frame: int, component: int) -> Array:
@@ -78,6 +79,16 @@ def payload_wrenches(c: Context) -> Array:
 def payloads_of(c: Context) -> Array:
     """(N, 4) mass [kg] and first moment [kg·m] of what hangs at the sensor: see `payloads`."""
     return c.once(("payloads",), lambda: payloads(c.recording.wrench, c.recording.load, gravity_at_sensor(c)))
+
+
+def beside_the_payload(c: Context) -> Array:
+    """(N, 6) what the sensor read beside what the rigid payload of each load label weighs there [N, N m]; nothing of
+    labels that few visits weighed, or none."""
+    held, g, load = payloads_of(c), gravity_at_sensor(c), np.array(c.recording.load)
+    weighs = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
+    labels, at, count = np.unique(load, return_inverse=True, return_counts=True)
+    known = (count >= LEAST_WEIGHED) & (labels != "")
+    return np.asarray((c.recording.wrench - weighs) * known[at][:, None])
 
 
 def gravity_at_sensor(c: Context) -> Array:

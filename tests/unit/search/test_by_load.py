@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ppshw.diagnosis import standing
+from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
+from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library.by_instrument import weighed
 from ppshw.diagnosis.library.by_load import FALLS_AT, clearance
 from ppshw.diagnosis.library.sampled import elastic_frames
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import finding
-from ppshw.diagnosis.workspace import Workspace
+from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms.shapes import Column
+from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
 
 
@@ -332,3 +339,40 @@ def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(sp
     assert [f.name[0] for f in found] == ["wrench_error"]
     said = numbers_of(space.context, best_of(tried, found[0]), np.ones(6), np.eye(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}
+
+
+@pytest.fixture(scope="module")
+def tared_anew(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """An arm whose force sensor has other zeros after every change of the load."""
+    machine, clean = clean_case(60534, "arm6", 240, 180, tmp_path_factory.mktemp("tared"))
+    stays = np.cumsum([0, *(one != other for one, other in itertools.pairwise(clean.load))])
+    zeros = np.random.default_rng(3).normal(0.0, [30.0, 30.0, 30.0, 6.0, 6.0, 6.0], (stays.max() + 1, 6))
+    recording = replace(clean, wrench=clean.wrench + zeros[stays])
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool))
+
+
+def test_a_sensor_that_reads_other_than_what_hangs_there_weighs_is_the_sensor(tared_anew: Workspace) -> None:
+    """Fourteen zeros of six channels are 84 numbers by themselves: it was a stiffness (another author's 021)."""
+    c = tared_anew.context
+    some = [k for k in library(c) if k.effect in ("wrench_error", "nonlinear_stiffness", "thermal_growth")]
+    tried = Tried(tared_anew, [*some, *nameless(c)], 5e-5)
+    found = search(tared_anew, tried, np.random.default_rng(0))
+    assert {f.name for f in found} == {("wrench_error", None)}
+    assert best_of(tried, found[0]).columns[0].function == "weighed"
+    said = finding(tared_anew, tried, found[0])
+    share = said["parameters"]["share_of_what_no_payload_weighs"]
+    assert share["value"] == pytest.approx(1.0, abs=0.2)
+    assert "reads other than what hangs there weighs" in said["sentence"]
+
+
+def test_what_no_payload_weighs_has_no_other_s_name(tared_anew: Workspace) -> None:
+    c = tared_anew.context
+    some = [k for k in library(c) if k.effect in ("nonlinear_stiffness", "thermal_growth", "clearance")]
+    tried = Tried(tared_anew, [*some, *nameless(c)], 5e-5, frozenset({"wrench_error"}))
+    found = search(tared_anew, tried, np.random.default_rng(0))
+    assert {f.name[0] for f in found} == {"nameless"}
+    assert best_of(tried, found[0]).columns[0].function == "weighed"
+
+
+def test_a_sensor_that_only_has_noise_is_not_asked_what_no_payload_weighs(space: Workspace) -> None:
+    assert weighed(space.context) is None
