@@ -282,8 +282,9 @@ def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
     """A misspelt position would silently be taken from the setpoint, and the other way round."""
     missing = [f"{prefix}{j}" for j in machine.joint_names if f"{prefix}{j}" not in cells]
     known = {f"{p}{j}" for p in ("q_", "q_cmd_") for j in machine.joint_names}
-    strange = [name for name in cells.names if name.startswith(prefix) and name not in known]
-    strange = [name for name in strange if prefix == "q_cmd_" or not name.startswith("q_cmd_")]
+    strange = [name for name in cells.names if name.startswith("q_") and name not in known]
+    if prefix == "q_" or len(missing) == machine.n:  # no setpoints at all are nobody's slip
+        strange = [name for name in strange if name.startswith("q_cmd_") == (prefix == "q_cmd_")]
     if missing and strange:
         raise RecordingError(
             f"{cells.source}: column {strange[0]} is of no joint of machine '{machine.name}', expected {missing[0]}"

@@ -235,7 +235,6 @@ class KnownEffects:
                 (now, self.loaded_for(now, 3600.0 * age, first.q, first.approach))
                 for age in (0.0, min(UNSAID_H, hours), hours)
             ]
-
         elif self._creeps and past.on_nothing:
             start = None if past.standing else first.q
             age = self._times([now])[0] - past.moments[-1].time

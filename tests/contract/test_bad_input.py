@@ -183,6 +183,9 @@ def both(first: Spoil, second: Spoil) -> Spoil:
 RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a joint without column": (both(column("q_cmd_turn", None), column("q_turn", None)), "no column q_turn or q_cmd_turn"),
     "a misspelt position": (swap(",q_turn,", ",q_trun,"), "column q_trun is of no joint of machine 'cell', expected q_turn"),
+    "a setpoint's misspelt prefix": (
+        swap("q_cmd_turn,", "q_comd_turn,"), "column q_comd_turn is of no joint of machine 'cell', expected q_cmd_turn",
+    ),
     "a misspelt setpoint": (swap("q_cmd_turn,", "q_cmd_tunr,"), "column q_cmd_tunr is of no joint of machine 'cell', expected"),
     "no target": (column("P", None), "no column for any target of the machine, expected e.g. P1_x"),
     "a coordinate without column": (column("P2_y", None), "column P2_y is missing"),
