@@ -26,7 +26,7 @@ from ppshw.recording import Recording
 from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
-from ppshw.terms.history import hours_since_change, payloads
+from ppshw.terms.history import hours_since_change, payloads, weighs
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -79,6 +79,7 @@ class KnownEffects:
     ) -> None:  # fmt: skip
         self.effects = tuple(effects)
         self._visits = visits
+        self._held: Array | None = None  # (k, 4) the payloads of these, once somebody asks
         self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
@@ -248,9 +249,10 @@ class KnownEffects:
         if self._visits is None or not self._visits.has_wrench:
             return [now.payload]
         machine, visits = self.machine, self._visits
-        held = payloads(visits.wrench, visits.load, gravity_in_sensor(machine, frames(machine, visits.q)))
-        g = gravity_in_sensor(machine, frames(machine, now.q[None]))[0]
-        return [np.concatenate([h[0] * g, np.cross(h[1:], g)]) for h in np.unique(held, axis=0)]
+        if self._held is None:
+            each = payloads(visits.wrench, visits.load, gravity_in_sensor(machine, frames(machine, visits.q)))
+            self._held = np.unique(each, axis=0)
+        return list(weighs(self._held, gravity_in_sensor(machine, frames(machine, now.q[None]))))
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""

@@ -27,7 +27,7 @@ from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Recording, listed
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms import Situation
-from ppshw.terms.history import payloads
+from ppshw.terms.history import payloads, weighs
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -397,11 +397,10 @@ def _from_to(names: Sequence[str]) -> str:
 def _unlike_a_payload(recording: Recording, wrench: Array, g: Array) -> float:
     """Share of the wrenches that no rigid payload under gravity explains: force and moment each count half."""
     held = payloads(wrench, recording.load, g)
-    mass = np.maximum(held[:, :1], 0.0)  # nothing weighs less than nothing
-    force = wrench[:, :3] - mass * g
-    moment = wrench[:, 3:] - np.cross(held[:, 1:], g)
+    held[:, 0] = np.maximum(held[:, 0], 0.0)  # nothing weighs less than nothing
+    beside = wrench - weighs(held, g)
     shares = [
-        float((rest**2).sum() / max(float((whole**2).sum()), 1e-30))
-        for rest, whole in ((force, wrench[:, :3]), (moment, wrench[:, 3:]))
+        float((beside[:, some] ** 2).sum() / max(float((wrench[:, some] ** 2).sum()), 1e-30))
+        for some in (slice(0, 3), slice(3, 6))
     ]
     return float(np.sqrt(np.mean(shares)))

@@ -19,7 +19,7 @@ from ppshw.machine import RADIUS_986, Machine
 from ppshw.quantities import distance
 from ppshw.recording import Recording, directions, listed
 from ppshw.statics import gravity_in_sensor
-from ppshw.terms.history import payloads
+from ppshw.terms.history import payloads, weighs
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -94,11 +94,10 @@ def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
     """(K,) which wrenches (K, 6) are far from those of the rigid payload that the others say."""
     wrong = np.zeros(len(wrench), dtype=bool)
     for _ in range(ROUNDS):
-        held = payloads(wrench[~wrong], ("",) * int((~wrong).sum()), gravity[~wrong])[0]
+        held = payloads(wrench[~wrong], ("",) * int((~wrong).sum()), gravity[~wrong])[:1]
         before, wrong = wrong, np.zeros(len(wrench), dtype=bool)
-        for rest, least in (
-            (wrench[:, :3] - held[0] * gravity, LOADED_N), (wrench[:, 3:] - np.cross(held[1:], gravity), LOADED_NM)
-        ):
+        beside = wrench - weighs(held, gravity)
+        for rest, least in ((beside[:, :3], LOADED_N), (beside[:, 3:], LOADED_NM)):
             size = np.linalg.norm(rest, axis=1)
             wrong |= size > max(least, GROSS * float(np.median(size)))
         if (wrong == before).all() or wrong.mean() > SINGLE + 1 / len(wrench):

@@ -154,6 +154,12 @@ def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
     return out
 
 
+def weighs(held: Array, gravity: Array) -> Array:
+    """(N, 6) what rigid payloads (N, 4), or one (1, 4), as of `payloads`, make the sensor feel under gravity (N, 3), in
+    its frame."""
+    return np.concatenate([held[:, :1] * gravity, np.cross(held[:, 1:], gravity)], axis=1)
+
+
 def load_memory(
     payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str, asked: Array | None = None
 ) -> Array:  # fmt: skip

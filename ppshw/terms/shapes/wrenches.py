@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.statics import gravity_in_sensor, link_wrenches
-from ppshw.terms.history import payloads
+from ppshw.terms.history import payloads, weighs
 from ppshw.terms.shapes.context import Context
 
 Array = NDArray[np.float64]
@@ -84,11 +84,13 @@ def payloads_of(c: Context) -> Array:
 def beside_the_payload(c: Context) -> Array:
     """(N, 6) what the sensor read beside what the rigid payload of each load label weighs there [N, N m]; nothing of
     labels that few visits weighed, or none."""
-    held, g, load = payloads_of(c), gravity_at_sensor(c), np.array(c.recording.load)
-    weighs = np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1)
-    labels, at, count = np.unique(load, return_inverse=True, return_counts=True)
-    known = (count >= LEAST_WEIGHED) & (labels != "")
-    return np.asarray((c.recording.wrench - weighs) * known[at][:, None])
+
+    def make() -> Array:
+        labels, at, count = np.unique(np.array(c.recording.load), return_inverse=True, return_counts=True)
+        known = (count >= LEAST_WEIGHED) & (labels != "")
+        return np.asarray((c.recording.wrench - weighs(payloads_of(c), gravity_at_sensor(c))) * known[at][:, None])
+
+    return c.once(("beside the payload",), make)
 
 
 def gravity_at_sensor(c: Context) -> Array:
