@@ -46,6 +46,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.search import MOST_FINDINGS
+    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
     from ppshw.diagnosis.wording import how_sure, unexplained
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.identification.plausible import noisier_than_stated
@@ -69,6 +70,10 @@ def diagnose(a: argparse.Namespace) -> None:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
     if len({(candidate.effect, candidate.joint) for _, candidate in found.found}) >= MOST_FINDINGS:
         warnings.append(f"the search ended at {MOST_FINDINGS} effects: there may be more")
+        warn(a.rec, warnings[-1:])
+    of_sensor = any(f["effect"] == "wrench_error" for f in found.answer["findings"])
+    if not of_sensor and (said := doubt_of_sensor(found.space.context)):
+        warnings.append(said)
         warn(a.rec, warnings[-1:])
     if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"], "noise"):
         warnings.append(doubt)

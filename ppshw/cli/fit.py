@@ -32,6 +32,7 @@ def identify(a: argparse.Namespace) -> None:
 
     from ppshw.calibration import Calibration
     from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
     from ppshw.errors import IdentificationFailed
     from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
@@ -40,6 +41,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.identification.plausible import noisier_than_stated
     from ppshw.recording import listed, load_recording
+    from ppshw.terms.shapes import Context
 
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
@@ -63,6 +65,9 @@ def identify(a: argparse.Namespace) -> None:
             )
     looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
     warnings += as_they_stand(looked(machine, believed)[1])
+    known = Context.of(estimate.model, estimate.theta, believed, estimate.measuring_in_base)
+    if said := doubt_of_sensor(known):
+        warnings.append(said)
     if doubt := noisier_than_stated(machine, fit["rms_mm"], "a residual"):
         warnings.append(doubt)
     calibration.save(out)

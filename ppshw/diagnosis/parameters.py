@@ -260,8 +260,8 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
     elif candidate.columns[0].function == "weighed":
         names, units = ["share_of_what_no_payload_weighs"], ["1"]
     elif candidate.effect == "wrench_error":
-        names = [_misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
-        units = [_misread(column.args) for column in candidate.columns]
+        names = [misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
+        units = [misread_unit(column.args) for column in candidate.columns]
     elif candidate.effect == "clearance":
         names = ["half_gap", "half_difference"][: len(values)]
     elif candidate.effect == "creep" and candidate.component is None and candidate.columns[0].function == "creeping":
@@ -290,7 +290,7 @@ def rocks(candidate: Candidate) -> str:
     return f" and {'rocks' if across[0].startswith('r') else 'moves sideways'} ({across[0]})"
 
 
-def _misread_name(args: Mapping[str, Any], again: bool) -> str:
+def misread_name(args: Mapping[str, Any], again: bool) -> str:
     """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
     temperature."""
     of, source = args["component"], args.get("source", -1)
@@ -306,7 +306,7 @@ def _misread_name(args: Mapping[str, Any], again: bool) -> str:
     return name + (kelvin or "_zero" * (source < 0) + hourly)
 
 
-def _misread(args: Mapping[str, Any]) -> str:
+def misread_unit(args: Mapping[str, Any]) -> str:
     """Unit of what a force sensor reads too much: a load, per hour or kelvin; a share of a reading, per load where it
     grows with it."""
     of, source = args["component"], args.get("source", -1)

@@ -17,6 +17,7 @@ from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
+from ppshw.diagnosis.sensor_words import against_gravity
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
@@ -233,11 +234,12 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"{_high(c, candidate, values, unit)}({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
         f"({size}).",
-        "wrench_error": f"the force sensor reads other than what hangs there weighs in every attitude ({size})."
+        "wrench_error": f"the force sensor reads other than what hangs there weighs in every attitude ({size})"
+        + _weighing(c, candidate)
         if candidate.columns[0].function == "weighed"
         else f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
         + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
-        + f"{_turned(candidate, values)} ({size}).",
+        + f"{_turned(candidate, values)} ({size})" + _weighing(c, candidate),
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
@@ -310,6 +312,12 @@ def _when(candidate: Candidate) -> str:
     if candidate.columns[0].args.get("form") == "step":
         return f" at once after {candidate.shape['time_h']:.2f} h"
     return " slowly with time"
+
+
+def _weighing(c: Context, candidate: Candidate) -> str:
+    """What weighing says besides of a sensor's error."""
+    said = against_gravity(c) if candidate.effect == "wrench_error" else ""
+    return f"; against gravity it reads {said}." if said else "."
 
 
 def _turned(candidate: Candidate, values: Array) -> str:

@@ -6,23 +6,18 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import LAGS_H, temperature_places, that_act
+from ppshw.diagnosis.library.sampled import LAGS_H, MOMENTS, moments_between, temperature_places, that_act
+from ppshw.diagnosis.library.weighing import reads_other
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.terms.shapes import Column, Context, named_column
-from ppshw.terms.shapes.wrenches import beside_the_payload
+from ppshw.terms.shapes import Column, Context
 
-Array = NDArray[np.float64]
 # Share of a scale that goes with what the machine's own parts measure, where the air has a thermometer: beams go
 # through the air.
 AIR, OF_THE_MACHINE = "air", 0.05
-# Beside rigid payloads sensors read 0.1 to 1.4 N and 0.1 to 0.5 N m, as noise, in 180 recordings of three authors, and
-# where they erred 0.6 to 49 N and 1.4 to 50 N m. Noise, too, makes a model expect what is not: 1 to 11 µm.
+# Noise of the sensor, too, makes a model expect what is not: by 1 to 11 µm, in recordings of three authors.
 LEAST_MISREAD = 5e-6  # m, rms at the reflectors
-GOES_WITH = 0.5  # of the variance of what a channel reads too much
-OF_ALL = 0.003  # of the largest force or moment: a base that stands 3 mrad askew makes as much of gravity
 MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero
 
 
@@ -104,33 +99,18 @@ def force_sensor(c: Context) -> Iterator[Candidate]:
                 yield Candidate(*where, (column,), {"lag_h": tau}, 0.15)
 
 
+def sensor_errors(c: Context) -> Iterator[Candidate]:
+    """Every form of them that few moments ask for."""
+    yield from force_sensor(c)
+    yield from force_sensor_jumps(c, moments_between(c, MOMENTS))
+
+
 def weighed(c: Context) -> Column | None:
     """What the sensor read beside the rigid payloads; None where that moves hardly anything, or is noise."""
     column = Column("frames", "weighed", {})
     moved = column.evaluate(c)
     misread = float(np.sqrt((moved**2).mean() * 3)) > LEAST_MISREAD
-    return column if misread and _goes_with_something(c, beside_the_payload(c)) else None
-
-
-def _goes_with_something(c: Context, beside: Array) -> bool:
-    """Whether most of what some channel reads too much (N, 6) goes with how often the load was changed, with what it
-    and the others read, with temperatures or slowly with time, as no noise does."""
-    r, count = c.recording, len(beside)
-    whole = max(float(np.ptp(c.hours)), 1e-9)
-    with_what = [
-        *(r.wrench / np.maximum(np.abs(r.wrench).max(axis=0), 1e-9)).T,
-        *(r.temperatures[place] - r.temperatures[place].mean() for place in temperature_places(c)),
-        *(np.cos(np.pi * k * (c.hours - c.hours[0]) / whole) for k in range(1, 5)),
-    ]
-    stays = named_column(c, "mounting")
-    mounted = np.equal.outer(stays, np.unique(stays)) if stays.max() < count / 8 else np.ones((count, 1), dtype=bool)
-    every = np.concatenate([mounted.astype(float), np.stack(with_what, axis=1)], axis=1)
-    left = beside - every @ np.linalg.lstsq(every, beside, rcond=1e-9)[0]
-    free = count - np.linalg.matrix_rank(every)
-    noise, whole_of_it = (left**2).sum(axis=0) / max(free, 1), beside.var(axis=0)
-    most = np.repeat(np.abs(r.wrench).reshape(count, 2, 3).max(axis=(0, 2)), 3)
-    wrong = whole_of_it - noise
-    return bool(free > 0 and ((wrong > GOES_WITH * whole_of_it) & (wrong > (OF_ALL * most) ** 2)).any())
+    return column if misread and reads_other(c) else None
 
 
 def force_sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,11 +15,16 @@ from ppshw.terms.shapes.wrenches import beside_the_payload, expected_by
 Array = NDArray[np.float64]
 
 
-def sensor_error(
+def sensor_error(c: Context, component: int, **args: Any) -> Array:
+    """Deflection wrongly expected when a component of the sensor is off as in `misread`."""
+    return -expected_by(c, misread(c, component, **args))
+
+
+def misread(
     c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0, bent: str = ""
 ) -> Array:
-    """Deflection wrongly expected when a component of the sensor is off by 1, by its reading `source`, with time (form
-    and tau of `clock`), or with a temperature (lagged by tau hours).
+    """(N, 6) what is read too much [N, N·m] when a component of the sensor is off by 1, by its reading `source`, with
+    time (form and tau of `clock`), or with a temperature (lagged by tau hours).
 
     component  −1: all six, each by its own reading (gain), in proportion to time or a temperature where one is given
     bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load; by its
@@ -38,7 +45,7 @@ def sensor_error(
         wrench = size[:, None] * c.recording.wrench
     else:
         wrench[:, component] = size
-    return -expected_by(c, wrench)
+    return wrench
 
 
 def weighed(c: Context) -> Array:

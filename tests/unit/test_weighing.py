@@ -1,0 +1,113 @@
+"""The force sensor weighed against gravity, by its readings alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ppshw.diagnosis.library.by_instrument import sensor_errors
+from ppshw.diagnosis.library.weighing import Weighing, reads_other, weigh
+from ppshw.diagnosis.sensor_words import against_gravity, doubt
+from ppshw.recording import Recording
+from ppshw.terms.shapes import Context
+from tests.unit.clean_case import clean_case
+
+Array = NDArray[np.float64]
+Reads = Callable[[Recording], Array]
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    """An arm whose force sensor reads what hangs there."""
+    from ppshw.diagnosis.workspace import prepare
+
+    machine, recording = clean_case(60534, "arm6", 200, 160, tmp_path_factory.mktemp("weighed"))
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool)).context
+
+
+def reading(clean: Context, wrench: Array) -> Context:
+    return replace(clean, recording=replace(clean.recording, wrench=wrench))
+
+
+def weighed(c: Context) -> Weighing:
+    found = weigh(c, list(sensor_errors(c)))
+    assert found is not None
+    return found
+
+
+def test_a_sensor_that_reads_what_hangs_there_is_not_doubted(clean: Context) -> None:
+    assert not reads_other(clean)
+    assert weigh(clean, list(sensor_errors(clean))) is None
+    assert doubt(clean) == ""
+
+
+def zero(r: Recording) -> Array:
+    return r.wrench + np.array([0.0, 0.0, 40.0, 0.0, 0.0, 0.0])
+
+
+def drift(r: Recording) -> Array:
+    since = (r.time - r.time[0]) / 3600.0
+    return r.wrench + since[:, None] * np.array([0.0, 12.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def gain(r: Recording) -> Array:
+    return r.wrench * np.array([1.1, 1.0, 1.0, 1.0, 1.0, 1.0])
+
+
+def leak(r: Recording) -> Array:
+    out = r.wrench.copy()
+    out[:, 0] += 0.05 * r.wrench[:, 2]  # into a moment, the payload could as well hang elsewhere and another force leak
+    return out
+
+
+@pytest.mark.parametrize(
+    ("reads", "args", "value"),
+    [
+        (zero, {"component": 2}, 40.0),
+        (drift, {"component": 1, "time": "linear"}, None),
+        (gain, {"component": 0, "source": 0}, 0.1),
+        (leak, {"component": 0, "source": 2}, 0.05),
+    ],
+)
+def test_its_readings_alone_say_which_error_it_is(
+    clean: Context, reads: Reads, args: dict[str, object], value: float | None
+) -> None:
+    c = reading(clean, reads(clean.recording))
+    found = weighed(c)
+    first = found.forms[0]
+    assert found.one_form
+    assert [column.args for column in first.form.columns] == [args]
+    if value is not None:
+        assert first.values[0] == pytest.approx(value, rel=0.01, abs=0.003)  # the base stands a few mrad askew
+
+
+def test_a_zero_that_jumps_says_when(clean: Context) -> None:
+    at, r = 90, clean.recording
+    off = np.where(np.arange(len(r)) < at, 0.0, 8.0)
+    c = reading(clean, r.wrench + off[:, None] * np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
+    first = weighed(c).forms[0].form
+    assert (first.covariate, first.columns[0].args["time"]) == ("Mx", "step")
+    apart = max(3 * float(np.diff(c.hours).max()), float(c.hours[-1]) / 30)
+    assert abs(first.shape["time_h"] - c.hours[at]) < apart
+
+
+def test_what_weighing_says_is_told_with_the_channel_and_its_numbers(clean: Context) -> None:
+    c = reading(clean, zero(clean.recording))
+    assert " rms, Fz_zero 40.1 ± " in against_gravity(c)
+    assert doubt(c).startswith("the force sensor reads other than what hangs there weighs, ")
+    gains = against_gravity(reading(clean, gain(clean.recording)))
+    assert "Fx_by_Fx 0.1 ± " in gains
+    assert gains.rsplit(" ", 1)[1].startswith("0.0")  # a share has no unit
+
+
+def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> None:
+    labels = np.array(clean.recording.load)
+    stays = np.concatenate([[0], np.cumsum(labels[1:] != labels[:-1])])
+    zeros = np.random.default_rng(3).normal(0.0, [30.0, 30.0, 30.0, 6.0, 6.0, 6.0], (stays.max() + 1, 6))
+    c = reading(clean, clean.recording.wrench + zeros[stays])
+    assert weighed(c).forms[0].form.covariate == "since_load_change"
+    assert against_gravity(c).endswith("other zeros after every change of the load")
