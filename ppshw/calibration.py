@@ -122,10 +122,17 @@ class Calibration:
                 f"it is of its recording set right ({mended}): what still reads so, as the force sensor, must be set "
                 "right too"
             )
-        if self.machine.tracker.base is None:
+        tracker = self.machine.tracker
+        if tracker.base is None:
             said.append(
-                "where the tracker stood was estimated: poses are right relative to each other; where the base frame "
-                "is, which std_mm does not hold, is known no better than the machine was built"
+                "where the tracker stood was estimated: poses are right relative to each other"
+                f"{'' if tracker.targets_known else ' but for what the end effector is off'}; where the base frame is, "
+                "which std_mm does not hold, is known no better than the machine was built"
+            )
+        if not tracker.targets_known:
+            said.append(
+                "where the reflectors sit was estimated: what the end effector is off at every pose alike, of which "
+                "std_mm holds a part, is known no better than it was built"
             )
         return said
 

@@ -68,7 +68,9 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
 
 def _thermal(c: Context, k: Candidate) -> list[Column]:
     args = k.columns[0].args
-    joint = c.machine.joint_names.index(str(k.joint))
+    if k.joint is None:
+        return [Column("frames", "link_growth", {**args, "joint": joint}) for joint in range(c.machine.n)]
+    joint = c.machine.joint_names.index(k.joint)
     if k.columns[0].function == "link_growth":
         return [Column("frames", "link_growth", {**args, "tau": tau}) for tau in LAGS_H]
     if len(k.columns) == 6:

@@ -54,6 +54,8 @@ def of_its_kind(
             return there and all(column.function in JUMPS for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
+            if named.joint is None:  # every link grows
+                return named.covariate in plain and all(k == named.covariate or k.startswith("q_") for k in plain)
             there = rival.frame == named.frame or _alike(named, rival, parallel)
             return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "periodic_transmission":  # a band of waves over its own position, its own among them

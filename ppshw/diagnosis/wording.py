@@ -220,8 +220,10 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"turns back: lost motion in its drive{ahead} ({size}).",
         "friction_hysteresis": f"{joint} {'runs ahead' if ahead else 'lags'} by an amount that grows with the travel "
         f"since it turned back, up to {amount}: friction before sliding{ahead} ({size}).",
-        "thermal_growth": f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows "
-        f"or bends with heat ({size}).",
+        "thermal_growth": f"every link grows with {candidate.covariate}{_per_kelvin(candidate, values)} ({size})."
+        if joint is None
+        else f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows or bends with "
+        f"heat ({size}).",
         "drift": f"everything moves{_when(candidate)}, {_far(c, candidate, values)}as if the base or the tracker did "
         f"({size}).",
         "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(candidate, values)} ({size}).",

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import LAGS_H, moving_joints, own_component, temperature_places
+from ppshw.diagnosis.library.sampled import AIR, LAGS_H, moving_joints, own_component, temperature_places
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -19,9 +19,13 @@ WANDERS, RESTLESS = (2, 3, 4), (6,)
 
 
 def thermal(c: Context) -> Iterator[Candidate]:
-    for place in temperature_places(c):
+    places = temperature_places(c)
+    for place in places:
         for tau in LAGS_H:
             args = {"place": place, "tau": tau}
+            if AIR in places and place != AIR:  # all of the machine, by its own thermometer, or a scale by the air's
+                every = Column("frames", "link_growth", {**args, "joint": -1})
+                yield Candidate("thermal_growth", None, None, None, f"temp_{place}_C", (every,), {"lag_h": tau})
             for k, name in moving_joints(c):
                 own = own_component(c, k)
                 along = Column("frames", "link_growth", {**args, "joint": k})
@@ -36,7 +40,7 @@ def thermal(c: Context) -> Iterator[Candidate]:
                 any_way = tuple(Column("frame", "temperature", args, k + 1, comp) for comp in range(6))
                 # bends and shifts, as its own shape has it
                 yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", any_way, {"lag_h": tau}, 0.2)
-    for (place, other), tau in itertools.product(itertools.combinations(temperature_places(c), 2), LAGS_H):
+    for (place, other), tau in itertools.product(itertools.combinations(places, 2), LAGS_H):
         for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
             sides = tuple(
                 Column("frame", "temperature", {"place": each, "tau": tau}, k + 1, comp) for each in (place, other)

@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import LAGS_H, MOMENTS, moments_between, temperature_places, that_act
+from ppshw.diagnosis.library.sampled import AIR, LAGS_H, MOMENTS, moments_between, temperature_places, that_act
 from ppshw.diagnosis.library.weighing import reads_other
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
 # Share of a scale that goes with what the machine's own parts measure, where the air has a thermometer: beams go
 # through the air.
-AIR, OF_THE_MACHINE = "air", 0.05
+OF_THE_MACHINE = 0.05
 # Noise of the sensor, too, makes a model expect what is not: by 1 to 11 µm, in recordings of three authors.
 LEAST_MISREAD = 5e-6  # m, rms at the reflectors
 MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero

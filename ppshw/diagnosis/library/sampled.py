@@ -9,6 +9,7 @@ import numpy as np
 from ppshw.machine import Machine
 from ppshw.terms.shapes import Column, Context
 
+AIR = "air"  # the place of a thermometer that hangs in it
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # behind a thermometer
 VARIES = 0.05  # of its largest value: a load that varies less is constant
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long

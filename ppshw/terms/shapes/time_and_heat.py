@@ -80,9 +80,11 @@ def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
 
 
 def link_growth(c: Context, place: str, tau: float, joint: int) -> Array:
-    """(N, n+1, 6) the link behind a joint longer by a metre per metre and kelvin, towards the next joint or the tip."""
-    machine = c.machine
-    after = machine.joints[joint + 1].origin if joint + 1 < machine.n else machine.tip_in_link
+    """(N, n+1, 6) the link behind a joint (−1: every one) longer by a metre per metre and kelvin, towards the next
+    joint or the tip."""
+    machine, warm = c.machine, temperature(c, place, tau)[:, None]
     out = np.zeros((len(c.hours), machine.n + 1, 6))
-    out[:, joint + 1, :3] = temperature(c, place, tau)[:, None] * after[:3, 3]
+    for k in range(machine.n) if joint < 0 else (joint,):
+        after = machine.joints[k + 1].origin if k + 1 < machine.n else machine.tip_in_link
+        out[:, k + 1, :3] = warm * after[:3, 3]
     return out
