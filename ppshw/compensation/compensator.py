@@ -187,7 +187,7 @@ class Compensator:
 
     def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
         around = given.around
-        load = around.load if given.past is not None else "now"
+        load = around.load or ("" if given.past is not None else "now")
         said = around.time, load, around.temperatures
         return Moment(q, _approach(q, given), payload, *said, given.last_way, given.seen_to)
 

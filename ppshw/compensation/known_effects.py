@@ -31,6 +31,7 @@ from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
 from ppshw.terms.shapes.creep import OLDEST_LOAD_H
+from ppshw.terms.shapes.wrenches import expected_by
 
 Array = NDArray[np.float64]
 # Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
@@ -48,6 +49,8 @@ SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anything in it
 FARTHER_K = 5.0  # that a thermometer may read beyond where effects were measured, or by as much as it ran through there
+ANOTHER_LOAD = 2.0  # times as far as the sensor ever read beside a load: another one under its label (a judgement)
+A_LITTLE = 0.01  # of the largest force or moment: what a setpoint's pose turns
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
 
@@ -79,7 +82,7 @@ class KnownEffects:
     ) -> None:  # fmt: skip
         self.effects = tuple(effects)
         self._visits = visits
-        self._held: Array | None = None  # (k, 4) the payloads of these, once somebody asks
+        self._held: Array | None = None  # (N, 4) the payloads of these, once somebody asks
         self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
@@ -112,7 +115,9 @@ class KnownEffects:
         if effect.of_instrument:
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if any(c.function == "weighed" for c in effect.columns):
-            return False, "what the sensor reads beside what hangs there one reading does not tell; taken as it reads"
+            if self._beside(now.load, now.q, now.payload) is None:
+                return False, "what this load weighs no attitude but this one says; taken as the sensor reads it"
+            return True, f"'{now.load}' weighs what it weighed while it was measured"
         if any(c.function == "hopping" for c in effect.columns):
             return True, "as at the recording's end; it hops, and where it is now cannot be known"
         if _as_left(effect):
@@ -210,7 +215,8 @@ class KnownEffects:
         From which side a joint comes is either, a temperature anything that was measured, a load as old as any; what
         goes by the clock is where it was at any moment of the recording, and may be farther off since.
         """
-        out = self._at_any_moment(self._contexts(now, past, base, wrenches)[0])
+        context = self._contexts(now, past, base, wrenches)[0]
+        out = self._at_any_moment(context) + self._as_misread(now, context)
         for ways in self._ways(now, past):
             each = np.concatenate([self.errors(then, before, base, wrenches) for then, before in ways])
             out.append((each - each.mean(axis=0)) / np.sqrt(len(ways)))
@@ -249,10 +255,8 @@ class KnownEffects:
         if self._visits is None or not self._visits.has_wrench:
             return [now.payload]
         machine, visits = self.machine, self._visits
-        if self._held is None:
-            each = payloads(visits.wrench, visits.load, gravity_in_sensor(machine, frames(machine, visits.q)))
-            self._held = np.unique(each, axis=0)
-        return list(weighs(self._held, gravity_in_sensor(machine, frames(machine, now.q[None]))))
+        held = np.unique(self._payloads_of(visits), axis=0)
+        return list(weighs(held, gravity_in_sensor(machine, frames(machine, now.q[None]))))
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""
@@ -296,12 +300,56 @@ class KnownEffects:
         a zero as it was left, anything else on average over the recording."""
         if column.function in ("covariate", "covariate_pair"):
             return np.asarray(_mean_bump(column))
-        if column.function in ("unexplained", "instead", "weighed"):  # without them the base model stands as it is
+        if column.function == "weighed":
+            return self._weighed(context)
+        if column.function in ("unexplained", "instead"):  # without them the base model stands as it is
             return np.zeros(() if column.on == "frame" else (self.machine.n + 1, 6))
         if not _by_clock(column):
             return np.asarray(column.value(context)[-1])
         values = self._over_time(column, context)
         return values[-1] if _as_left(effect) else np.asarray(values.mean(axis=0))
+
+    def _weighed(self, context: Context) -> Array:
+        """(n+1, 6) what is wrongly expected of a load that reads otherwise than it weighed while it was measured."""
+        r = context.recording
+        beside = self._beside(r.load[-1], r.q[-1], r.wrench[-1])
+        if beside is None:
+            return np.zeros((self.machine.n + 1, 6))
+        return np.asarray(-expected_by(context, _at_last(context, beside))[-1])
+
+    def _as_misread(self, now: Moment, context: Context) -> list[Array]:
+        """What a load that nobody weighed may make wrongly expected, (6, n+1, 6): by every channel as far as it read
+        beside those that were."""
+        of_sensor = next((e for e in self.effects if e.columns[0].function == "weighed"), None)
+        if of_sensor is None or self._visits is None or self._beside(now.load, now.q, now.payload) is not None:
+            return []
+        far = np.sqrt((self._read_beside(self._visits) ** 2).mean(axis=0))
+        each = (expected_by(context, _at_last(context, one))[-1] for one in np.diag(far))
+        return [of_sensor.values[0] * np.stack(list(each))]
+
+    def _beside(self, load: str, q: Array, reading: Array) -> Array | None:
+        """(6,) what the sensor reads of a load beside what it weighed while effects were measured; None of one that
+        nobody knows, or that by its reading is another one of that label."""
+        visits = self._visits
+        if visits is None or not load or load not in visits.load:
+            return None
+        held = self._payloads_of(visits)[visits.load.index(load)]
+        beside = reading - weighs(held[None], gravity_in_sensor(self.machine, frames(self.machine, q[None])))[0]
+        most = np.repeat(np.abs(visits.wrench).max(axis=0).reshape(2, 3).max(axis=1), 3)
+        far = ANOTHER_LOAD * np.abs(self._read_beside(visits)).max(axis=0) + A_LITTLE * most
+        return beside if (np.abs(beside) < far).all() else None
+
+    def _read_beside(self, visits: Recording) -> Array:
+        """(N, 6) of the calibration's visits."""
+        gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
+        return np.asarray(visits.wrench - weighs(self._payloads_of(visits), gravity))
+
+    def _payloads_of(self, visits: Recording) -> Array:
+        """(N, 4) of the calibration's visits, worked out once."""
+        if self._held is None:
+            gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
+            self._held = payloads(visits.wrench, visits.load, gravity)
+        return self._held
 
     def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
         """(n+1, 6) with a value for each component that a Gaussian process moves."""
@@ -476,3 +524,10 @@ def _looks_back(column: Column) -> bool:
     if column.args.get("place") and float(column.args.get("tau", 0.0)) > 0:
         return True
     return column.function not in AT_ONCE and not _by_clock(column)
+
+
+def _at_last(context: Context, wrench: Array) -> Array:
+    """(N, 6) a wrench (6,) at the last moment alone."""
+    out = np.zeros_like(context.recording.wrench)
+    out[-1] = wrench
+    return out

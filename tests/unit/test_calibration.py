@@ -55,9 +55,10 @@ def test_it_comes_back_as_it_was(made: Made) -> None:
 
 def test_a_base_frame_that_nobody_located_is_a_doubt_about_setpoints(made: Made) -> None:
     _, _, calibration, _ = made
-    (said,) = calibration.doubts()
-    assert said.startswith("where the tracker stood was estimated: poses are right relative to each other")
-    located = replace(calibration.machine.tracker, base=np.eye(4))
+    of_base, of_reflectors = calibration.doubts()
+    assert of_base.startswith("where the tracker stood was estimated: poses are right relative to each other but for")
+    assert of_reflectors.startswith("where the reflectors sit was estimated: what the end effector is off at every")
+    located = replace(calibration.machine.tracker, base=np.eye(4), targets_known=True)
     machine = replace(calibration.machine, tracker=located)
     assert replace(calibration, model=replace(calibration.model, machine=machine)).doubts() == []
 

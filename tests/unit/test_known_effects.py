@@ -706,3 +706,52 @@ def test_the_command_takes_the_start_and_says_what_it_did(tmp_path: Path, capsys
     assert left[0]["why"].startswith("from which side")
     assert main([*common, "--approach", "vertical=2"]) == 2
     assert "--approach vertical: 2, expected +1 or -1" in capsys.readouterr().err
+
+
+# --- a force sensor that misreads -------------------------------------------------------------------------------------
+ZERO = np.array([0, 0, 0, 150.0, 0, 0])  # N, N m
+
+
+def misread(value: float = 1.0) -> Compensator:
+    """The sensor reads ZERO too much or too little, as it did while 'box' was measured."""
+    plant, calibration = base()
+    q = np.random.default_rng(5).uniform(*calibration.machine.limits(), (60, 6))
+    wrench = np.concatenate([plant.wrench(one, LOAD) for one in q])
+    wrench += np.where(np.arange(len(q)) % 2 == 0, 1.0, -1.0)[:, None] * ZERO
+    count = len(q)
+    visits = Recording(
+        calibration.machine.joint_names, tuple(calibration.machine.targets), np.full(count, np.nan), ("",) * count,
+        ("box",) * count, q, q, np.zeros(q.shape, dtype=np.int64), np.full(count, np.nan), wrench,
+        np.full((count, len(calibration.machine.targets), 3), np.nan), {}, {}, {}, True, "", "",
+    )  # fmt: skip
+    effect = Effect("wrench_error", None, (Column("frames", "weighed", {}),), (value,), (0.05,), "by hand")
+    reference = {"start": 1.7e9, "hours": HOURS}
+    return Compensator(replace(calibration, effects=(effect,), reference=reference, visits=visits))
+
+
+def of_load(compensator: Compensator, label: str, reading: Array) -> Setpoints:
+    return compensator.for_joints(POSE, reading, "treatment", Circumstances(around=Around(load=label)))
+
+
+def test_a_load_that_was_measured_weighs_what_it_weighed_whatever_the_sensor_reads() -> None:
+    right = asked(Compensator(base()[1])).corrected
+    plain = of_load(Compensator(base()[1]), "box", payload() + ZERO).corrected
+    found = of_load(misread(), "box", payload() + ZERO)
+    assert np.abs(found.corrected - right).max() < 0.1 * np.abs(plain - right).max()
+    assert np.abs(plain - right).max() > 2e-6
+    (told,) = found.effects
+    assert (told.taken_out, told.why) == (True, "'box' weighs what it weighed while it was measured")
+
+
+@pytest.mark.parametrize(("label", "more"), [("patient", 1.0), ("box", 1.5)])
+def test_a_load_that_nobody_weighed_is_as_the_sensor_reads_and_std_holds_what_it_may_misread(
+    label: str, more: float
+) -> None:
+    reading = more * payload() + ZERO
+    found = of_load(misread(), label, reading)
+    plain = of_load(Compensator(base()[1]), label, reading)
+    np.testing.assert_allclose(found.corrected, plain.corrected, atol=1e-12)
+    assert not found.effects[0].taken_out
+    assert np.linalg.norm(found.std) > np.linalg.norm(plain.std)
+    known = of_load(misread(), "box", payload() + ZERO)
+    assert np.linalg.norm(found.std) > np.linalg.norm(known.std)
