@@ -113,11 +113,11 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     offered = blocks(machine, cases, which, wanted.seed)
     whole = _followed_by(recording, offered, machine)
     theta = belief.theta + springs(belief.model, belief.strengths)
-    rich = Context.of(belief.model, theta, whole, machine.tracker.frame)
-    columns, pairs = _columns(rich, wanted, FORMS)
+    now, rich = (Context.of(belief.model, theta, r, machine.tracker.frame) for r in (recording, whole))
+    columns, pairs = _columns(now, rich, wanted, FORMS)
     laid = _Laid.at_repeatability(belief, theta, rich, columns, unit)
     state = laid.state(recording)
-    every, all_pairs = _columns(rich, wanted, MANY)
+    every, all_pairs = _columns(now, rich, wanted, MANY)
     with_many = _Laid.at_repeatability(belief, theta, rich, every, unit).state(recording)
     nearest = [pair.strengths(with_many.s).min() for pair in all_pairs]
     before = state.copy()
@@ -210,9 +210,13 @@ class _Pair:
         return np.asarray(np.sqrt(np.maximum(left, 0.0)))
 
 
-def _columns(rich: Context, wanted: Wanted, most: int) -> tuple[list[Column], list[_Pair]]:
-    """Columns of at most so many forms of each name, each column once, and the pairs of names to be told apart."""
-    every = library(rich)
+def _columns(now: Context, rich: Context, wanted: Wanted, most: int) -> tuple[list[Column], list[_Pair]]:
+    """Columns of at most so many forms of each name, each column once, and the pairs of names to be told apart.
+
+    now, rich  the visits until now, in which what happened at some moment happened; with all that may be measured,
+               which shows forms that nothing asked for until now
+    """
+    every = [k for k in library(rich) if not _at_a_moment(k)] + [k for k in library(now) if _at_a_moment(k)]
     forms: dict[Name, list[Candidate]] = {}
     for effect in wanted.effects:
         mine = [k for k in every if k.effect == effect]
@@ -249,6 +253,10 @@ def _columns(rich: Context, wanted: Wanted, most: int) -> tuple[list[Column], li
                 row[[at[c.key] for c in k.columns]] = 1.0 / np.sqrt(len(k.columns))
             pairs.append(_Pair(of, by, each, np.array(rivals)))
     return columns, pairs
+
+
+def _at_a_moment(candidate: Candidate) -> bool:
+    return any("time_h" in name for name in candidate.shape)
 
 
 def _rms(displacement: Array, recording: Recording) -> float:
