@@ -146,7 +146,7 @@ def test_visits_that_separate_two_effects_raise_what_tells_them_apart(
 def test_what_happens_at_a_moment_happened_in_the_visits_so_far(machine: Machine, sweeps: Plan) -> None:
     """Jumps were put at moments over all that might be measured as well: seven of eight after the last visit, √λ 0.0
     before and after for every joint (a reviewer's)."""
-    found = separate(Wanted(machine, ("zero_shift", "drift"), "yaw", sweeps, 8, 1, "next", "a test"))
+    found = separate(Wanted(machine, ("zero_shift", "drift"), "lateral", sweeps, 8, 1, "next", "a test"))
     jumps = [r["before"] for r in found.rows if r["effect"] == "zero_shift"]
     assert jumps
     assert min(jumps) > 1.0
