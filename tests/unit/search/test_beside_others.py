@@ -664,6 +664,16 @@ def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size
     assert finding(there, tried, first)["rms_mm"] < 0.9 * said["rms_mm"]
 
 
+@pytest.mark.parametrize(("off", "found"), [(1e-5, []), (1.2e-4, [("target_moved", None)])])
+def test_reflectors_are_where_the_file_has_them_as_well_as_anybody_measures_that(
+    space: Workspace, off: float, found: list[Name]
+) -> None:
+    """450 visits tell it to 1 µm: ones that were 10 µm off had moved, or made a scale (another author's 35000)."""
+    shift = Column("points", "target_shift", {"target": 0, "axis": 0}).evaluate(space.context)
+    there = replace(space, data=space.data + off * shift)
+    assert [f.name for f in look(there, ["target_moved", "tracker_scale"])[0]] == found
+
+
 def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
     shifts = [Column("points", "target_shift", {"target": t, "axis": t}) for t in (0, 1)]
     since = space.context.hours > np.median(space.context.hours)
