@@ -666,7 +666,7 @@ def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size
 
 @pytest.mark.parametrize(("off", "found"), [(1e-5, []), (1.2e-4, [("target_moved", None)])])
 def test_reflectors_are_where_the_file_has_them_as_well_as_anybody_measures_that(
-    space: Workspace, off: float, found: list[Name]
+    space: Workspace, off: float, found: list[tuple[str, str | None]]
 ) -> None:
     """450 visits tell it to 1 µm: ones that were 10 µm off had moved, or made a scale (another author's 35000)."""
     shift = Column("points", "target_shift", {"target": 0, "axis": 0}).evaluate(space.context)
