@@ -146,10 +146,7 @@ def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
         mine = labels == label
         g = gravity[mine]
         mass = float((g * wrench[mine, :3]).sum() / max(float((g**2).sum()), 1e-30))
-        minus_cross = np.zeros((len(g), 3, 3))  # S × g = −[g]× S
-        minus_cross[:, [0, 1, 2], [1, 2, 0]] = g[:, [2, 0, 1]]
-        minus_cross[:, [0, 1, 2], [2, 0, 1]] = -g[:, [1, 2, 0]]
-        moment = np.linalg.lstsq(minus_cross.reshape(-1, 3), wrench[mine, 3:].ravel(), rcond=1e-2)[0]
+        moment = np.linalg.lstsq(_minus_cross(g).reshape(-1, 3), wrench[mine, 3:].ravel(), rcond=1e-2)[0]
         out[mine] = np.concatenate([[mass], moment])
     return out
 
@@ -158,6 +155,29 @@ def weighs(held: Array, gravity: Array) -> Array:
     """(N, 6) what rigid payloads (N, 4), or one (1, 4), as of `payloads`, make the sensor feel under gravity (N, 3), in
     its frame."""
     return np.concatenate([held[:, :1] * gravity, np.cross(held[:, 1:], gravity)], axis=1)
+
+
+def beside_payloads(wrenches: Array, load: tuple[str, ...], gravity: Array) -> Array:
+    """What no rigid payloads make of wrenches (k, N, 6), one of `payloads` for each label of each: (k, N, 6)."""
+    out = wrenches.copy()
+    labels = np.array(load)
+    for label in dict.fromkeys(load):
+        mine = np.flatnonzero(labels == label)
+        g, some = gravity[mine], wrenches[:, mine]
+        mass = np.einsum("nb,knb->k", g, some[..., :3]) / max(float((g**2).sum()), 1e-30)
+        out[:, mine, :3] -= mass[:, None, None] * g
+        turns = _minus_cross(g).reshape(-1, 3)
+        moment = some[..., 3:].reshape(len(some), -1) @ np.linalg.pinv(turns, rcond=1e-2).T
+        out[:, mine, 3:] -= (moment @ turns.T).reshape(len(some), -1, 3)
+    return out
+
+
+def _minus_cross(g: Array) -> Array:
+    """(N, 3, 3) of gravity (N, 3): S × g = −[g]× S."""
+    out = np.zeros((len(g), 3, 3))
+    out[:, [0, 1, 2], [1, 2, 0]] = g[:, [2, 0, 1]]
+    out[:, [0, 1, 2], [2, 0, 1]] = -g[:, [1, 2, 0]]
+    return out
 
 
 def load_memory(

@@ -29,7 +29,7 @@ from ppshw.diagnosis.library.creep import creeping, creeping_from_nothing
 from ppshw.diagnosis.library.jumps import Jumps, moved_reflector, zero_shift
 from ppshw.diagnosis.library.lost_motion import backlash, friction
 from ppshw.diagnosis.library.sampled import moments_about
-from ppshw.diagnosis.library.weighing import weigh
+from ppshw.diagnosis.library.weighing import ruled_out, weigh
 from ppshw.diagnosis.library.weight import moving_weight
 from ppshw.terms.shapes import Context
 
@@ -73,6 +73,8 @@ def library(
     found += moved_reflector(c, moments_about(c, moments), knocks)
     found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]
     found = [k for k in found if k.effect not in without]
+    impossible = {id(k) for k in ruled_out(c, found)}
+    found = [k for k in found if id(k) not in impossible]
     _as_weighed(c, found)
     total: dict[str, float] = {}
     for k in found:

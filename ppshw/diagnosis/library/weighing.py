@@ -13,10 +13,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import temperature_places
-from ppshw.terms.history import payloads, weighs
+from ppshw.terms.history import beside_payloads, payloads, weighs
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.sensor import misread
-from ppshw.terms.shapes.wrenches import beside_the_payload, gravity_at_sensor, payloads_of
+from ppshw.terms.shapes.wrenches import beside_the_payload, gravity_at_sensor, payloads_of, weighed_often
 
 Array = NDArray[np.float64]
 # Beside rigid payloads sensors read 0.1 to 1.4 N and 0.1 to 0.5 N m, as noise, in 180 recordings of three authors, and
@@ -28,6 +28,8 @@ ALL_OF_IT = 0.1  # of the mean square that a form leaves of what it is all of
 MOST_FORMS = 4
 AGAIN = 4  # that what hangs there is weighed without what the sensor reads too much
 LEAST_MORE = 10.0  # of log evidence, for one form more
+HARDLY, SURELY = 2e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
+MANY = 6  # numbers of a form: a zero or a gain of every channel
 SMALLEST = 1e-9  # of what a column makes that no payload takes
 
 
@@ -89,6 +91,41 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
     return Weighing(wrong, by, _fitted(c, chosen, noise), left_by_first < ALL_OF_IT) if chosen else None
 
 
+def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those of the sensor's errors that its readings leave hardly any room for: as large as they may be beside rigid
+    payloads, they would move no reflector by HARDLY; and where it reads what these weigh those of many numbers, some of
+    which would show."""
+    forms = [k for k in candidates if all(column.function == "sensor_error" for column in k.columns)]
+    if not forms or not weighed_often(c).any():
+        return []
+    noise = _wrong(c)[2]
+    columns, at = _each_once(forms)
+    made, fields = _made(c, columns, payloads_of(c), noise)
+    gram, says = fields.T @ fields, fields.T @ (beside_the_payload(c) / noise).ravel()
+    by_unit = np.array([Column("frames", "sensor_error", {"component": k}).evaluate(c) for k in range(6)])
+    there = weighed_often(c)
+    moves = np.einsum("knc,cnt->knt", made[:, there], by_unit[:, there]).reshape(len(columns), -1)
+    moves = 3.0 / moves.shape[1] * (moves @ moves.T)
+    many = len(columns) if reads_other(c) else MANY
+    return [
+        form for form, mine in zip(forms, at, strict=True)
+        if len(mine) > many or _most(gram, says, moves, mine) < HARDLY
+    ]  # fmt: skip
+
+
+def _most(gram: Array, says: Array, moves: Array, at: Sequence[int]) -> float:
+    """How far columns `at` may move the reflectors by what the readings say of them, rms [m]."""
+    lengths, turn = np.linalg.eigh(gram[np.ix_(at, at)])
+    move = moves[np.ix_(at, at)]
+    silent = lengths < SMALLEST * max(float(lengths[-1]), 1.0)
+    if np.einsum("ij,ik,kj->j", turn, move, turn)[silent].sum() > SMALLEST**2:
+        return np.inf
+    lengths, turn = lengths[~silent], turn[:, ~silent]
+    covariance = (turn / lengths) @ turn.T
+    values = covariance @ says[at]
+    return float(np.sqrt(values @ move @ values + SURELY**2 * (move * covariance).sum()))
+
+
 def _wrong(c: Context) -> tuple[NDArray[np.bool_], Array, Array]:
     """Of every channel (6,) whether it reads other than rigid payloads weigh, by how much and with which noise, rms [N,
     N·m]."""
@@ -122,15 +159,18 @@ def _goes_with(c: Context) -> Array:
 def _fields(c: Context, forms: Sequence[Candidate], noise: Array) -> tuple[Array, list[list[int]]]:
     """(6 N, k) what all columns of the forms make beside rigid payloads, in units of the noise (6,), and which of them
     each form has."""
+    columns, at = _each_once(forms)
+    return _made(c, columns, payloads_of(c), noise)[1], at
+
+
+def _each_once(forms: Sequence[Candidate]) -> tuple[list[Column], list[list[int]]]:
+    """All columns of the forms, and which of them each form has."""
     columns: dict[str, Column] = {}
-    at = []
-    for form in forms:
-        keys = [json.dumps(column.args, sort_keys=True) for column in form.columns]
-        columns.update(zip(keys, form.columns, strict=True))
-        at.append(keys)
+    keys = [[json.dumps(column.args, sort_keys=True) for column in form.columns] for form in forms]
+    for form, mine in zip(forms, keys, strict=True):
+        columns.update(zip(mine, form.columns, strict=True))
     where = {key: k for k, key in enumerate(columns)}
-    fields = _made(c, list(columns.values()), payloads_of(c), noise)[1]
-    return fields, [[where[key] for key in keys] for keys in at]
+    return list(columns.values()), [[where[key] for key in mine] for mine in keys]
 
 
 def _evidence(gram: Array, goes: Array, at: Sequence[int], count: int) -> float:
@@ -165,5 +205,5 @@ def _made(c: Context, columns: Sequence[Column], held: Array, noise: Array) -> t
     gravity, load = gravity_at_sensor(c), c.recording.load
     there = replace(c, recording=replace(c.recording, wrench=weighs(held, gravity)))
     made = np.array([misread(there, **column.args) for column in columns])
-    beside = np.array([(one - weighs(payloads(one, load, gravity), gravity)) / noise for one in made])
+    beside = beside_payloads(made, load, gravity) * weighed_often(c)[:, None] / noise
     return made, beside.reshape(len(columns), -1).T

@@ -86,11 +86,16 @@ def beside_the_payload(c: Context) -> Array:
     labels that few visits weighed, or none."""
 
     def make() -> Array:
-        labels, at, count = np.unique(np.array(c.recording.load), return_inverse=True, return_counts=True)
-        known = (count >= LEAST_WEIGHED) & (labels != "")
-        return np.asarray((c.recording.wrench - weighs(payloads_of(c), gravity_at_sensor(c))) * known[at][:, None])
+        beside = c.recording.wrench - weighs(payloads_of(c), gravity_at_sensor(c))
+        return np.asarray(beside * weighed_often(c)[:, None])
 
     return c.once(("beside the payload",), make)
+
+
+def weighed_often(c: Context) -> NDArray[np.bool_]:
+    """(N,) whose load enough visits weighed."""
+    labels, at, count = np.unique(np.array(c.recording.load), return_inverse=True, return_counts=True)
+    return np.asarray(((count >= LEAST_WEIGHED) & (labels != ""))[at])
 
 
 def gravity_at_sensor(c: Context) -> Array:
