@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.by_instrument import sensor_errors
-from ppshw.diagnosis.library.weighing import Weighing, reads_other, weigh
+from ppshw.diagnosis.library.weighing import Weighing, reads_other, ruled_out, weigh
 from ppshw.diagnosis.sensor_words import against_gravity, doubt
 from ppshw.recording import Recording
 from ppshw.terms.shapes import Context
@@ -110,3 +110,27 @@ def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> 
     c = reading(clean, clean.recording.wrench + zeros[stays])
     assert weighed(c).forms[0].form.covariate == "since_load_change"
     assert against_gravity(c).endswith("other zeros after every change of the load")
+
+
+def test_errors_that_its_readings_leave_no_room_for_are_not_asked_for(clean: Context) -> None:
+    """A zero that wandered by as much as creep had left said more than creep by its form (another author's 35019)."""
+    forms = list(sensor_errors(clean))
+    out = {id(k) for k in ruled_out(clean, forms)}
+    kept = [k for k in forms if id(k) not in out]
+    wandering = [k for k in forms if k.covariate == "time" and k.columns[0].args["component"] >= 0]
+    assert wandering
+    assert not {id(k) for k in wandering} - out
+    alone = [k.columns[0].args for k in kept if len(k.columns) == 1]
+    assert alone
+    assert all(args["component"] < 0 for args in alone)  # all channels' gain alike, which no payload weighs
+
+
+def test_errors_that_its_readings_show_or_cannot_show_are_asked_for(clean: Context) -> None:
+    c = reading(clean, drift(clean.recording))
+    forms = list(sensor_errors(c))
+    out = {id(k) for k in ruled_out(c, forms)}
+    drifts = [k for k in forms if [x.args for x in k.columns] == [{"component": 1, "time": "linear"}]]
+    assert len(drifts) == 1
+    assert id(drifts[0]) not in out
+    unlabelled = replace(clean, recording=replace(clean.recording, load=("",) * len(clean.recording)))
+    assert ruled_out(unlabelled, list(sensor_errors(unlabelled))) == []
