@@ -28,7 +28,7 @@ ALL_OF_IT = 0.1  # of the mean square that a form leaves of what it is all of
 MOST_FORMS = 4
 AGAIN = 4  # that what hangs there is weighed without what the sensor reads too much
 LEAST_MORE = 10.0  # of log evidence, for one form more
-HARDLY, SURELY = 2e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
+HARDLY, OF_MANY, SURELY = 2e-5, 5e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
 MANY = 6  # numbers of a form: a zero or a gain of every channel
 SMALLEST = 1e-9  # of what a column makes that no payload takes
 
@@ -93,8 +93,7 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
 
 def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those of the sensor's errors that its readings leave hardly any room for: as large as they may be beside rigid
-    payloads, they would move no reflector by HARDLY; and where it reads what these weigh those of many numbers, some of
-    which would show."""
+    payloads, they would move no reflector by HARDLY, or, with many numbers of which none shows, by OF_MANY."""
     forms = [k for k in candidates if all(column.function == "sensor_error" for column in k.columns)]
     if not forms or not weighed_often(c).any():
         return []
@@ -106,10 +105,10 @@ def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     there = weighed_often(c)
     moves = np.einsum("knc,cnt->knt", made[:, there], by_unit[:, there]).reshape(len(columns), -1)
     moves = 3.0 / moves.shape[1] * (moves @ moves.T)
-    many = len(columns) if reads_other(c) else MANY
+    of_many = HARDLY if reads_other(c) else OF_MANY
     return [
         form for form, mine in zip(forms, at, strict=True)
-        if len(mine) > many or _most(gram, says, moves, mine) < HARDLY
+        if _most(gram, says, moves, mine) < (of_many if len(mine) > MANY else HARDLY)
     ]  # fmt: skip
 
 
