@@ -83,6 +83,7 @@ class KnownEffects:
         self.effects = tuple(effects)
         self._visits = visits
         self._held: Array | None = None  # (N, 4) the payloads of these, once somebody asks
+        self._besides: Array | None = None  # (N, 6) what the sensor read beside them
         self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
@@ -340,9 +341,11 @@ class KnownEffects:
         return beside if (np.abs(beside) < far).all() else None
 
     def _read_beside(self, visits: Recording) -> Array:
-        """(N, 6) of the calibration's visits."""
-        gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
-        return np.asarray(visits.wrench - weighs(self._payloads_of(visits), gravity))
+        """(N, 6) of the calibration's visits, worked out once."""
+        if self._besides is None:
+            gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
+            self._besides = np.asarray(visits.wrench - weighs(self._payloads_of(visits), gravity))
+        return self._besides
 
     def _payloads_of(self, visits: Recording) -> Array:
         """(N, 4) of the calibration's visits, worked out once."""

@@ -17,6 +17,7 @@ from ppshw.diagnosis.found import Found, by_its_own_form, moved_by, size_beyond
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, still_gross
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
+from ppshw.diagnosis.library.weighing import as_weighed
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import BY_CAUSE, of_one_wave
 from ppshw.diagnosis.scatter import Scatter, scatter_of, scatter_without_a_name
@@ -178,7 +179,7 @@ def _look(
     give_back()
     jumps = jumps_of_zeros(space)
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
-    named = library(space.context, without, moments, periods, bands, jumps, knocks, lost)
+    named = as_weighed(space.context, library(space.context, without, moments, periods, bands, jumps, knocks, lost))
     candidates = named + nameless(space.context, jumps)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * int(space.fit.sum()) >= len(k.columns)]

@@ -10,7 +10,6 @@ import pytest
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library
-from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.parameters import numbers_of, spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -80,8 +79,8 @@ def test_a_coupling_is_said_as_its_height_whatever_functions_make_it(space: Work
 
 def test_a_zero_that_wanders_is_said_as_how_far_it_goes_in_newtons(space: Workspace) -> None:
     wanders = next(
-        k for k in sensor_errors(space.context)
-        if len(k.columns) == 4 and k.columns[0].args.get("time") == "cosine"
+        k for k in library(space.context)
+        if k.effect == "wrench_error" and len(k.columns) == 4 and k.columns[0].args.get("time") == "cosine"
         and k.columns[0].args["component"] == 1
     )  # fmt: skip
     said = numbers_of(space.context, wanders, np.array([3.0, 0.0, 0.0, 0.0]), np.eye(4))

@@ -100,7 +100,7 @@ def test_what_weighing_says_is_told_with_the_channel_and_its_numbers(clean: Cont
     assert " rms, Fz_zero 40.1 ± " in against_gravity(c)
     assert doubt(c).startswith("the force sensor reads other than what hangs there weighs, ")
     gains = against_gravity(reading(clean, gain(clean.recording)))
-    assert gains.endswith("Fx_by_Fx 0.0997 ± 0.0009")  # a share has no unit
+    assert gains.endswith("Fx_by_Fx 0.0997 ± 0.00092")  # a share has no unit
 
 
 def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> None:

@@ -29,7 +29,6 @@ from ppshw.diagnosis.library.creep import creeping, creeping_from_nothing
 from ppshw.diagnosis.library.jumps import Jumps, moved_reflector, zero_shift
 from ppshw.diagnosis.library.lost_motion import backlash, friction
 from ppshw.diagnosis.library.sampled import moments_about
-from ppshw.diagnosis.library.weighing import ruled_out, weigh
 from ppshw.diagnosis.library.weight import moving_weight
 from ppshw.terms.shapes import Context
 
@@ -40,7 +39,6 @@ NAMES = (
     "nonlinear_stiffness", "clearance", "cross_coupling", "moving_weight", "wrench_error", "creep", "zero_shift",
     "missing_compliance", "target_moved", "unsettled",
 )  # fmt: skip
-AS_WEIGHED = 30.0  # times as likely as any other form of the sensor's error
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 LOADS = frozenset({  # effects that loads make
     "nonlinear_stiffness", "clearance", "creep", "missing_compliance", "wrench_error", "moving_weight",
@@ -73,25 +71,9 @@ def library(
     found += moved_reflector(c, moments_about(c, moments), knocks)
     found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]
     found = [k for k in found if k.effect not in without]
-    impossible = {id(k) for k in ruled_out(c, found)}
-    found = [k for k in found if id(k) not in impossible]
-    _as_weighed(c, found)
     total: dict[str, float] = {}
     for k in found:
         total[k.effect] = total.get(k.effect, 0.0) + k.share
     for k in found:
         k.share /= total[k.effect]
     return found
-
-
-def _as_weighed(c: Context, found: list[Candidate]) -> None:
-    """Which of the sensor's errors weighing says it is: that form, if it is all of it, and what all that it reads
-    beside rigid payloads goes with."""
-    if (weighing := weigh(c, found)) is None:
-        return
-    first = weighing.forms[0].form
-    if weighing.one_form:
-        first.share = AS_WEIGHED
-    for k in found:
-        if k.columns[0].function == "weighed":
-            k.covariate = first.covariate

@@ -29,6 +29,9 @@ MOST_FORMS = 4
 AGAIN = 4  # that what hangs there is weighed without what the sensor reads too much
 LEAST_MORE = 10.0  # of log evidence, for one form more
 HARDLY, OF_MANY, SURELY = 2e-5, 5e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
+LEAST_FREE = 40  # visits more than what their readings may go with
+NO_LESS = 1e-6  # of the largest force or moment, as noise
+LIKELIER = 10.0  # than what all that is read beside makes: a form that is all of it
 MANY = 6  # numbers of a form: a zero or a gain of every channel
 SMALLEST = 1e-9  # of what a column makes that no payload takes
 
@@ -59,6 +62,22 @@ def reads_other(c: Context) -> bool:
     return c.recording.has_wrench and bool(_wrong(c)[0].any())
 
 
+def as_weighed(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates without those that the readings leave no room for. Where the sensor reads other than rigid
+    payloads weigh, all that it reads so goes with what the form goes with that says most of it; and that form is the
+    likelier one, if it is all of it."""
+    impossible = {id(k) for k in ruled_out(c, candidates)}
+    kept = [k for k in candidates if id(k) not in impossible]
+    whole = [k for k in kept if k.columns[0].function == "weighed" and k.effect != "nameless"]
+    if whole and (weighing := weigh(c, kept)) is not None:
+        first = weighing.forms[0].form
+        for k in whole:
+            k.covariate = first.covariate
+        if weighing.one_form:
+            first.share = LIKELIER * whole[0].share
+    return kept
+
+
 def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
     """Which of the sensor's errors among the candidates what it reads beside rigid payloads is; None where it reads
     what they weigh."""
@@ -67,7 +86,8 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
         return None
     wrong, by, noise = _wrong(c)
     beside = (beside_the_payload(c) / noise).ravel()
-    fields, at = _fields(c, forms, noise)
+    columns, at = _each_once(forms)
+    fields = _made(c, columns, payloads_of(c), noise)[1]
     used: list[int] = []
     chosen: list[Candidate] = []
     left_by_first = 1.0
@@ -93,11 +113,12 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
 
 def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those of the sensor's errors that its readings leave hardly any room for: as large as they may be beside rigid
-    payloads, they would move no reflector by HARDLY, or, with many numbers of which none shows, by OF_MANY."""
+    payloads, they would move no reflector by HARDLY, or, with many numbers of which none shows, by OF_MANY. None where
+    too little was weighed."""
     forms = [k for k in candidates if all(column.function == "sensor_error" for column in k.columns)]
-    if not forms or not weighed_often(c).any():
+    noise = _wrong(c)[2] if forms and weighed_often(c).any() else np.zeros(6)
+    if not noise.any():
         return []
-    noise = _wrong(c)[2]
     columns, at = _each_once(forms)
     made, fields = _made(c, columns, payloads_of(c), noise)
     gram, says = fields.T @ fields, fields.T @ (beside_the_payload(c) / noise).ravel()
@@ -127,39 +148,33 @@ def _most(gram: Array, says: Array, moves: Array, at: Sequence[int]) -> float:
 
 def _wrong(c: Context) -> tuple[NDArray[np.bool_], Array, Array]:
     """Of every channel (6,) whether it reads other than rigid payloads weigh, by how much and with which noise, rms [N,
-    N·m]."""
+    N·m]; with none where too few visits say so."""
     r, beside = c.recording, beside_the_payload(c)
     every = _goes_with(c)
     free = len(r) - int(np.linalg.matrix_rank(every))
-    if free < 1:
-        return np.zeros(6, dtype=bool), np.zeros(6), np.ones(6)
+    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3) if len(r) else np.zeros(6)
+    if free < max(LEAST_FREE, len(r) / 2):
+        return np.zeros(6, dtype=bool), np.zeros(6), np.zeros(6)
     left = beside - every @ np.linalg.lstsq(every, beside, rcond=1e-9)[0]
     noise, whole = (left**2).sum(axis=0) / free, (beside**2).mean(axis=0)
     wrong = np.maximum(whole - noise, 0.0)
-    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
     is_wrong = (wrong > GOES_WITH * whole) & (wrong > (OF_ALL * most) ** 2)
-    return is_wrong, np.sqrt(wrong), np.sqrt(np.maximum(noise, (1e-6 * np.maximum(most, 1e-9)) ** 2))
+    return is_wrong, np.sqrt(wrong), np.maximum(np.sqrt(noise), NO_LESS * np.maximum(most, 1e-9))
 
 
 def _goes_with(c: Context) -> Array:
     """(N, k) what a sensor's error may go with, a constant with it."""
     r, count = c.recording, len(c.recording)
     whole = max(float(np.ptp(c.hours)), 1e-9)
+    hangs = weighs(payloads_of(c), gravity_at_sensor(c))  # not what is read, of which noise would be a part
     stays = named_column(c, "mounting")
     mounted = np.equal.outer(stays, np.unique(stays)) if stays.max() < count / FEWER else np.ones((count, 1))
     with_what = [
-        *(r.wrench / np.maximum(np.abs(r.wrench).max(axis=0), 1e-9)).T,
+        *(hangs / np.maximum(np.abs(hangs).max(axis=0), 1e-9)).T,
         *(r.temperatures[place] - r.temperatures[place].mean() for place in temperature_places(c)),
         *(np.cos(np.pi * k * (c.hours - c.hours[0]) / whole) for k in range(1, 5)),
     ]
     return np.concatenate([mounted.astype(float), np.stack(with_what, axis=1)], axis=1)
-
-
-def _fields(c: Context, forms: Sequence[Candidate], noise: Array) -> tuple[Array, list[list[int]]]:
-    """(6 N, k) what all columns of the forms make beside rigid payloads, in units of the noise (6,), and which of them
-    each form has."""
-    columns, at = _each_once(forms)
-    return _made(c, columns, payloads_of(c), noise)[1], at
 
 
 def _each_once(forms: Sequence[Candidate]) -> tuple[list[Column], list[list[int]]]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
@@ -23,7 +22,6 @@ from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.statics import link_wrenches
 from ppshw.terms.shapes import Column
-from ppshw.terms.shapes.wrenches import expected_by
 from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
 
@@ -284,27 +282,20 @@ def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space:
     assert "compliance_at_first" in numbers_of(space.context, candidate, np.ones(2), np.eye(2))
 
 
-def misreading(space: Workspace, off: NDArray[np.float64], times: float) -> Workspace:
-    """Whose sensor read (N, 6) as much more as moves the reflectors by so many times the repeatability."""
-    c = space.context
-    moved = -np.einsum("nifk,nfk->ni", c.jacobian, expected_by(c, off))
-    sized = of_size(space, moved, times)
-    factor = float(np.linalg.norm(sized) / np.linalg.norm(moved))
-    recording = replace(c.recording, wrench=c.recording.wrench + factor * off)
-    return replace(space, data=space.data + sized, context=replace(c, recording=recording))
-
-
 def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_the_sensor(space: Workspace) -> None:
-    load = np.array(space.recording.load)
+    c, load = space.context, np.array(space.recording.load)
     block = np.concatenate([[0], np.cumsum(load[1:] != load[:-1])])
     zeros = np.random.default_rng(5).normal(size=block.max() + 1)[block]
-    there = misreading(space, zeros[:, None] * np.eye(6)[3], 1.5)
+    by_one = Column("frames", "sensor_error", {"component": 4}).evaluate(c)
+    moved = zeros[:, None] * by_one
+    moved = of_size(space, moved, 3)
+    there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "drift", "creep", "thermal_growth"])
     assert [f.name for f in found] == [("wrench_error", None)]
     best = best_of(tried, found[0])
-    assert (best.covariate, len(best.columns)) == ("Mx", 1 + block.max())
+    assert (best.covariate, len(best.columns)) == ("My", 1 + block.max())
     said = finding(there, tried, found[0])["parameters"]
-    assert sum(name.startswith("Mx_zero_step_after_") for name in said) == block.max()
+    assert sum(name.startswith("My_zero_step_after_") for name in said) == block.max()
 
 
 def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_how_much_a_kelvin(
@@ -312,7 +303,10 @@ def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_h
 ) -> None:
     c = space.context
     air = c.recording.temperatures["air"]
-    there = misreading(space, c.recording.wrench * (air - air.mean())[:, None], 2)
+    read = replace(c, recording=replace(c.recording, wrench=c.recording.wrench * (air - air.mean())[:, None]))
+    moved = Column("frames", "sensor_error", {"component": -1}).evaluate(read)
+    moved = of_size(space, moved, 2)
+    there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "tracker_scale", "drift", "creep"])
     assert [f.name for f in found] == [("wrench_error", None)]
     assert best_of(tried, found[0]).covariate == "temp_air_C"
@@ -325,7 +319,10 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     sided = c.recording.wrench.copy()
     sided[:, [0, 1, 2, 3, 5]] = 0.0
     sided[:, 4] = np.where(sided[:, 4] > 0, 1.0, 0.3) * sided[:, 4]
-    there = misreading(space, sided, 3)
+    off = replace(c, recording=replace(c.recording, wrench=sided))
+    moved = Column("frames", "sensor_error", {"component": -1}).evaluate(off)
+    moved = of_size(space, moved, 3)
+    there = replace(space, data=space.data + moved)
     found, tried = look(there, ["wrench_error", "creep", "drift"])
     assert [f.name for f in found] == [("wrench_error", None)]
     assert best_of(tried, found[0]).covariate == "My"
@@ -335,8 +332,10 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
 
 def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(space: Workspace) -> None:
     off = np.array([-30.0, 40.0, 25.0, 15.0, -9.0, 12.0])  # N, N m
-    there = misreading(space, np.tile(off, (len(space.recording), 1)), 5)
-    found, tried = look(there, ["wrench_error", "missing_compliance"])
+    zeros = [Column("frames", "sensor_error", {"component": comp}).evaluate(space.context) for comp in range(6)]
+    moved = np.einsum("knt,k->nt", np.array(zeros), off)
+    moved *= 4e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = look(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
     assert [f.name[0] for f in found] == ["wrench_error"]
     said = numbers_of(space.context, best_of(tried, found[0]), np.ones(6), np.eye(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}

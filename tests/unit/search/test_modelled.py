@@ -40,8 +40,9 @@ def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
     made = load_calibration(path, space.machine)
     with_it, without = (Compensator(c, Bounds()) for c in (made, replace(made, effects=())))
 
-    assert space.base.model.target_offset is None  # of no other point than the reflectors
     both = np.concatenate([alike.design, moved[..., None]], axis=2)
+    groups = np.array([p.group for p in space.base.model.parameters()])[alike.active]
+    machine = np.r_[groups != "target", True]  # a point of the file is no reflector, which may be elsewhere
     prior, white = np.r_[alike.prior, unit], alike.whiten(both)
     posterior, alone = (
         np.linalg.inv(white[:, :size].T @ white[:, :size] + np.diag(1.0 / prior[:size] ** 2))
@@ -53,7 +54,9 @@ def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
         said = [np.square(compensator.for_joints(*asked).std).sum() for compensator in (with_it, without)]
         expected = [
             np.einsum("ip,pq,iq->", rows, covariance, rows)
-            for rows, covariance in ((both[visit, :3], posterior), (alike.design[visit, :3], alone))
+            for rows, covariance in (
+                (both[visit, :3] * machine, posterior), (alike.design[visit, :3] * machine[:-1], alone)
+            )
         ]
         grown.append((said[0] / said[1], expected[0] / expected[1]))
     by_said, by_both = np.array(grown).T
