@@ -32,6 +32,7 @@ HARDLY, OF_MANY, SURELY = 2e-5, 5e-5, 4.0  # m, rms at the reflectors; standard 
 LEAST_FREE = 40  # visits more than what their readings may go with
 NO_LESS = 1e-6  # of the largest force or moment, as noise
 LIKELIER = 10.0  # than what all that is read beside makes: a form that is all of it
+PART, VISITS = 64, 512  # columns and visits at a time
 MANY = 6  # numbers of a form: a zero or a gain of every channel
 SMALLEST = 1e-9  # of what a column makes that no payload takes
 
@@ -120,17 +121,38 @@ def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     if not noise.any():
         return []
     columns, at = _each_once(forms)
-    made, fields = _made(c, columns, payloads_of(c), noise)
-    gram, says = fields.T @ fields, fields.T @ (beside_the_payload(c) / noise).ravel()
-    by_unit = np.array([Column("frames", "sensor_error", {"component": k}).evaluate(c) for k in range(6)])
-    there = weighed_often(c)
-    moves = np.einsum("knc,cnt->knt", made[:, there], by_unit[:, there]).reshape(len(columns), -1)
-    moves = 3.0 / moves.shape[1] * (moves @ moves.T)
+    gram, says, moves = _squares(c, columns, noise)
     of_many = HARDLY if reads_other(c) else OF_MANY
     return [
         form for form, mine in zip(forms, at, strict=True)
         if _most(gram, says, moves, mine) < (of_many if len(mine) > MANY else HARDLY)
     ]  # fmt: skip
+
+
+def _squares(c: Context, columns: Sequence[Column], noise: Array) -> tuple[Array, Array, Array]:
+    """Of k columns what the readings see of them, (k, k) and with what is read beside rigid payloads (k,), in units of
+    the noise; and the mean square of what they do to the reflectors (k, k) [m²]. Part by part: of 10,000 visits all of
+    it would be 1.4 GB."""
+    count, size = len(c.recording), len(columns)
+    made = np.empty((size, count, 6), dtype=np.float32)
+    fields = np.empty((size, count, 6), dtype=np.float32)
+    for first in range(0, size, PART):
+        part = slice(first, first + PART)
+        made[part], beside = _made(c, columns[part], payloads_of(c), noise)
+        fields[part] = beside.T.reshape(-1, count, 6)
+    by_unit = np.array([Column("frames", "sensor_error", {"component": k}).evaluate(c) for k in range(6)])
+    read, there = beside_the_payload(c) / noise, weighed_often(c)
+    gram, says, moves = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    for first in range(0, count, VISITS):
+        some = slice(first, first + VISITS)
+        seen = fields[:, some].reshape(size, -1).astype(float)
+        gram += seen @ seen.T
+        says += seen @ read[some].ravel()
+        mine = there[some]
+        far = np.einsum("knc,cnt->knt", made[:, some][:, mine].astype(float), by_unit[:, some][:, mine])
+        far = far.reshape(size, -1)
+        moves += far @ far.T
+    return gram, says, 3.0 / (int(there.sum()) * by_unit.shape[2]) * moves
 
 
 def _most(gram: Array, says: Array, moves: Array, at: Sequence[int]) -> float:
