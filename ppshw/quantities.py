@@ -4,7 +4,7 @@ people write them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,3 +58,8 @@ def value_of(p: Mapping[str, Any]) -> str:
     else:
         text = f"{value:.4g}" + (f" ± {std:.1g}" if std else "")
     return f"{text} {unit}".strip().replace("-", "−")
+
+
+def enumerated(words: Sequence[str]) -> str:
+    """a, b and c"""
+    return " and ".join(word for word in (", ".join(words[:-1]), *words[-1:]) if word)

@@ -8,6 +8,7 @@ from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, weigh
 from ppshw.diagnosis.parameters import misread_name, misread_unit
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.quantities import enumerated
 from ppshw.terms.shapes import Context
 
 FEW = 3  # numbers of a form that are worth telling
@@ -22,7 +23,7 @@ def against_gravity(c: Context) -> str:
     far = [
         f"{WRENCH_COMPONENTS[k]} by {found.by[k]:.2g} {'N' if k < 3 else 'N m'}" for k in np.flatnonzero(found.wrong)
     ]
-    return f"{' and '.join(word for word in (', '.join(far[:-1]), *far[-1:]) if word)} rms, {_error(found)}"
+    return f"{enumerated(far)} rms, {_error(found)}"
 
 
 def doubt(c: Context) -> str:

@@ -22,7 +22,7 @@ from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_o
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.quantities import called
+from ppshw.quantities import called, enumerated
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Context, named_column
 from ppshw.terms.shapes.reflectors import gravity_in_tip
@@ -391,4 +391,4 @@ def _plainly(candidate: Candidate) -> str:
 def listed(said: Sequence[tuple[str, str]]) -> str:
     """Columns and their history as in `column_of`: "a, b (of the pose before) and c"."""
     words = [f"{column} ({how})" if how else column for column, how in said]
-    return " and ".join(word for word in (", ".join(words[:-1]), *words[-1:]) if word)
+    return enumerated(words)

@@ -210,10 +210,10 @@ def _about_reflectors(base: Estimate) -> Estimate:
     if base.model.target_offset is not None:
         return base
     offset = TargetOffset(tuple(base.model.machine.targets))
-    count = len(offset.parameters(()))
-    covariance = block_diag(base.covariance, KNOWN_TO**2 * np.eye(count))
-    groups = {**base.groups, **dict.fromkeys((p.group for p in offset.parameters(())), KNOWN_TO)}
-    theta, model = np.append(base.theta, np.zeros(count)), replace(base.model, target_offset=offset)
+    more = offset.parameters(())
+    covariance = block_diag(base.covariance, KNOWN_TO**2 * np.eye(len(more)))
+    groups = {**base.groups, **{p.group: KNOWN_TO for p in more}}
+    theta, model = np.append(base.theta, np.zeros(len(more))), replace(base.model, target_offset=offset)
     return replace(base, model=model, theta=theta, covariance=covariance, groups=groups)
 
 

@@ -69,7 +69,7 @@ def as_weighed(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     likelier one, if it is all of it."""
     impossible = {id(k) for k in ruled_out(c, candidates)}
     kept = [k for k in candidates if id(k) not in impossible]
-    whole = [k for k in kept if k.columns[0].function == "weighed" and k.effect != "nameless"]
+    whole = [k for k in kept if k.columns[0].function == "weighed"]
     if whole and (weighing := weigh(c, kept)) is not None:
         first = weighing.forms[0].form
         for k in whole:
@@ -83,9 +83,11 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
     """Which of the sensor's errors among the candidates what it reads beside rigid payloads is; None where it reads
     what they weigh."""
     forms = [k for k in candidates if all(column.function == "sensor_error" for column in k.columns)]
-    if not forms or not reads_other(c):
+    if not forms:
         return None
     wrong, by, noise = _wrong(c)
+    if not wrong.any():
+        return None
     beside = (beside_the_payload(c) / noise).ravel()
     columns, at = _each_once(forms)
     fields = _made(c, columns, payloads_of(c), noise)[1]
@@ -117,12 +119,14 @@ def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
     payloads, they would move no reflector by HARDLY, or, with many numbers of which none shows, by OF_MANY. None where
     too little was weighed."""
     forms = [k for k in candidates if all(column.function == "sensor_error" for column in k.columns)]
-    noise = _wrong(c)[2] if forms and weighed_often(c).any() else np.zeros(6)
+    if not forms or not weighed_often(c).any():
+        return []
+    wrong, _, noise = _wrong(c)
     if not noise.any():
         return []
     columns, at = _each_once(forms)
     gram, says, moves = _squares(c, columns, noise)
-    of_many = HARDLY if reads_other(c) else OF_MANY
+    of_many = HARDLY if wrong.any() else OF_MANY
     return [
         form for form, mine in zip(forms, at, strict=True)
         if _most(gram, says, moves, mine) < (of_many if len(mine) > MANY else HARDLY)
@@ -174,9 +178,9 @@ def _wrong(c: Context) -> tuple[NDArray[np.bool_], Array, Array]:
     r, beside = c.recording, beside_the_payload(c)
     every = _goes_with(c)
     free = len(r) - int(np.linalg.matrix_rank(every))
-    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3) if len(r) else np.zeros(6)
     if free < max(LEAST_FREE, len(r) / 2):
         return np.zeros(6, dtype=bool), np.zeros(6), np.zeros(6)
+    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
     left = beside - every @ np.linalg.lstsq(every, beside, rcond=1e-9)[0]
     noise, whole = (left**2).sum(axis=0) / free, (beside**2).mean(axis=0)
     wrong = np.maximum(whole - noise, 0.0)
