@@ -162,11 +162,18 @@ class Calibration:
         """A recording with what this calibration knows of the visits before and between its own, and which rows are
         its own (N,): `earlier.continued`. That which the calibration was made from stands for itself.
 
-        Raises RecordingError where it lacks a temperature by which one of the effects goes."""
-        for place in dict.fromkeys(place for effect in self.effects for place in effect.places):
-            if not np.isfinite(recording.temperatures.get(place, np.array(np.nan))).all():
+        Raises RecordingError where it lacks a temperature, or another column, by which one of the effects goes."""
+        none = np.array(np.nan)
+        places = dict.fromkeys(place for effect in self.effects for place in effect.places)
+        needed = {f"temp_{place}_C": recording.temperatures.get(place, none) for place in places}
+        needed |= {
+            name: recording.covariates.get(name.removeprefix("cov_"), none)
+            for effect in self.effects for name in effect.over
+        }  # fmt: skip
+        for column, values in needed.items():
+            if not np.isfinite(values).all():
                 raise RecordingError(
-                    f"{recording.source}: column temp_{place}_C is missing or empty, by which an effect of the "
+                    f"{recording.source}: column {column} is missing or empty, by which an effect of the "
                     "calibration goes"
                 )
         own = recording.sha256 == self.provenance.get("recording_sha256")

@@ -224,12 +224,15 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
         if "pressed" in candidate.columns[-1].args:
             names[1], factors[1] = MORE_BY_LOAD, -2.0
     elif candidate.effect == "tracker_scale":
-        grows = ["place" in column.args for column in candidate.columns]
+        grows = ["place" in column.args or "name" in column.args for column in candidate.columns]
         moves = [column.on == "frame" for column in candidate.columns]
+        kelvin = any("place" in column.args for column in candidate.columns)
+        per = "K" if kelvin else f"unit of {candidate.covariate}"
         axes = iter("xyz")
-        names = [f"shift_{next(axes)}" if m else "scale_per_K" if g else "scale"
+        names = [f"shift_{next(axes)}" if m else f"scale_per_{'K' if kelvin else 'unit'}" if g else "scale"
                  for m, g in zip(moves, grows, strict=True)]  # fmt: skip
-        units = ["m/K" if m else "1/K" if g else "1" for m, g in zip(moves, grows, strict=True)]
+        shifted = "m/K" if kelvin else f"m per standard deviation of {candidate.covariate}"
+        units = [shifted if m else f"1/{per}" if g else "1" for m, g in zip(moves, grows, strict=True)]
     elif candidate.effect == "thermal_growth" and len(values) == len(COMPONENTS):
         names = [f"{component}_per_kelvin" for component in COMPONENTS]
         units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]

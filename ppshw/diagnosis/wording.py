@@ -284,11 +284,12 @@ def _per_kelvin(candidate: Candidate, values: Array) -> str:
 
 
 def _parts(candidate: Candidate, values: Array) -> str:
-    """A scale's parts per million, once and per kelvin."""
+    """A scale's parts per million, once and per kelvin, or per unit of another column."""
     if candidate.effect != "tracker_scale":
         return ""
+    per = {"place": f" per kelvin of {candidate.covariate}", "name": f" per unit of {candidate.covariate}"}
     said = [
-        f"{v * 1e6:.3g} ppm" + (f" per kelvin of {candidate.covariate}" if "place" in column.args else "")
+        f"{v * 1e6:.3g} ppm" + next((text for arg, text in per.items() if arg in column.args), "")
         for v, column in zip(values, candidate.columns, strict=True) if column.on == "points"
     ]  # fmt: skip
     return f", by {' and '.join(said)}"

@@ -60,6 +60,12 @@ class Effect:
         return list(dict.fromkeys(str(c.args["place"]) for c in self.columns if c.args.get("place")))
 
     @property
+    def over(self) -> list[str]:
+        """The recording's columns of its own (cov_) that it goes by, each once."""
+        names = (str(c.args.get("name", "")) for c in self.columns)
+        return [name for name in dict.fromkeys(names) if name.startswith("cov_")]
+
+    @property
     def unnamed_over(self) -> list[str]:
         """The recording's columns that a correction without a name goes by, each once."""
         return list(dict.fromkeys(name for c in self.columns for name in c.args.get("names", ())))

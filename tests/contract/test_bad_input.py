@@ -388,15 +388,23 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     assert len(json.loads(said.out)["warnings"]) == 2
 
 
-def test_a_recording_without_a_temperature_that_an_effect_goes_by_is_refused(desk: Path) -> None:
+@pytest.mark.parametrize(
+    ("effect", "column", "name"),
+    [
+        ("thermal_growth", Column("frame", "temperature", {"place": "shed", "tau": 0.5}, 1, 0), "temp_shed_C"),
+        ("tracker_scale", Column("points", "scale", {"name": "cov_hPa"}), "cov_hPa"),
+    ],
+)
+def test_a_recording_without_a_column_that_an_effect_goes_by_is_refused(
+    desk: Path, effect: str, column: Column, name: str
+) -> None:
     calibration = load_calibration(desk / "cal.json", load_machine(desk / "machine.yaml"))
-    column = Column("frame", "temperature", {"place": "shed", "tau": 0.5}, 1, 0)
-    grows = Effect("thermal_growth", "rail", (column,), (1e-5,), (1e-6,), "by hand")
+    grows = Effect(effect, None, (column,), (1e-5,), (1e-6,), "by hand")
     reference = {"start": 0.0, "hours": 2.0, "mean.shed": 21.0}
     replace(calibration, effects=(grows,), reference=reference).save(desk / "warm.json")
     given = [desk / "good.csv", "--machine", desk / "machine.yaml", "--calibration", desk / "warm.json"]
     for words in (["evaluate", *given], ["twin", *given, "--out", desk / "twin.csv"]):
-        assert "good.csv: column temp_shed_C is missing or empty, by which an effect of the" in refused(desk, *words)
+        assert f"good.csv: column {name} is missing or empty, by which an effect of the" in refused(desk, *words)
 
 
 def test_a_calibration_from_loads_that_nobody_measured_says_so_where_it_moves_axes(desk: Path) -> None:

@@ -577,9 +577,18 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     assert "an error of the instrument, not of the machine" in found.effects[0].why
 
 
-def test_nor_is_where_a_scale_that_is_about_another_place_shifts_all() -> None:
-    grows = Column("points", "scale", {"place": "rail"})
-    shifts = tuple(Column("frame", "temperature", {"place": "rail", "tau": 0.0}, 0, comp) for comp in range(3))
+@pytest.mark.parametrize(
+    ("scale", "function", "shift"),
+    [
+        ({"place": "rail"}, "temperature", {"place": "rail", "tau": 0.0}),
+        ({"name": "cov_pressure"}, "covariate", {"name": "cov_pressure"}),
+    ],
+)
+def test_nor_is_where_a_scale_that_is_about_another_place_shifts_all(
+    scale: dict[str, object], function: str, shift: dict[str, object]
+) -> None:
+    grows = Column("points", "scale", scale)
+    shifts = tuple(Column("frame", function, shift, 0, comp) for comp in range(3))
     values = (2e-6, 2e-5, 0.0, 3e-5)
     effect = Effect("tracker_scale", None, (grows, *shifts), values, (1e-7,) * 4, "by hand")
     reference = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}

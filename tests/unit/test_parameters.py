@@ -93,6 +93,9 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     scale = next(k for k in some if k.effect == "tracker_scale" and [c.on for c in k.columns] == ["points"] * 2)
     said = sentence(space.context, scale, np.array([4.38e-5, -1.2e-6]), 1e-4)
     assert f"by a factor, by 43.8 ppm and -1.2 ppm per kelvin of {scale.covariate} (" in said
+    by_pressure = next(k for k in some if k.effect == "tracker_scale" and k.covariate == "cov_pressure")
+    said = sentence(space.context, by_pressure, np.array([2.7e-7]), 1e-4)
+    assert "by a factor, by 0.27 ppm per unit of cov_pressure (" in said
     grows = next(k for k in some if k.effect == "thermal_growth" and k.columns[0].function == "link_growth")
     assert " by 11.5 ppm per kelvin: its" in sentence(space.context, grows, np.array([1.15e-5]), 1e-4)
     shifts = next(k for k in some if k.effect == "thermal_growth" and k.component == "tx" and len(k.columns) == 1)

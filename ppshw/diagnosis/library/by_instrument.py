@@ -8,7 +8,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import AIR, LAGS_H, MOMENTS, moments_between, temperature_places, that_act
+from ppshw.diagnosis.library.sampled import (
+    AIR,
+    LAGS_H,
+    MOMENTS,
+    moments_between,
+    nobody_knows,
+    temperature_places,
+    that_act,
+)
 from ppshw.diagnosis.library.weighing import reads_other
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -38,6 +46,11 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
             late, lag = Column("points", "scale", {"place": place, "tau": tau}), {"lag_h": tau}
             yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), lag, share=0.05 * likely)
+    for name in nobody_knows(c):  # the air's pressure or humidity, if it is that
+        grows = Column("points", "scale", {"name": name})
+        shifts = tuple(Column("frame", "covariate", {"name": name}, 0, comp) for comp in range(3))
+        for columns in ((grows,), (constant, grows), (grows, *shifts)):
+            yield Candidate("tracker_scale", None, None, None, name, columns, share=0.1, led=len(columns) > 2)
 
 
 def force_sensor(c: Context) -> Iterator[Candidate]:

@@ -60,6 +60,12 @@ def temperature_places(c: Context) -> list[str]:
     return [p for p, t in c.recording.temperatures.items() if np.isfinite(t).all() and np.ptp(t) >= 1e-3]
 
 
+def nobody_knows(c: Context) -> list[str]:
+    """Columns beyond the contract's own, of which nothing is known but their names: without gaps, and that change."""
+    r = c.recording
+    return [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
+
+
 def within(machine: Machine) -> tuple[str, ...]:
     """How columns of temperatures end that are of joints beyond the first: what warms there does not move the base."""
     return tuple(f"temp_{name}_C" for name in machine.joint_names[1:])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, temperature_places
-from ppshw.diagnosis.nameless.rival import late_columns, nobody_knows, rival
+from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, temperature_places
+from ppshw.diagnosis.nameless.rival import late_columns, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.reflectors import gravity_in_tip
@@ -72,17 +72,20 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
             Column("points", "refraction", {"place": place, "part": part}) for place in places for part in range(5)
         ]
         yield replace(rival(c, None, None, names, bends), covariate=f"distance × {' × '.join(names)}")
-    for place in ("", *warm):
-        stretched = [
-            Column("points", "strain", {"first": a, "second": b, "place": place})
-            for a, b in itertools.combinations_with_replacement(range(3), 2)
-        ]
-        if not place:
-            yield Candidate("nameless", None, None, None, "distance", tuple(stretched))
-            continue
+    yield Candidate("nameless", None, None, None, "distance", tuple(_stretched({})))
+    ways_to_shift: list[tuple[str, dict[str, str], str, Mapping[str, object]]] = [
+        *((f"temp_{place}_C", {"place": place}, "temperature", {"place": place, "tau": 0.0}) for place in warm),
+        *((name, {"name": name}, "covariate", {"name": name}) for name in nobody_knows(c)),
+    ]
+    for name, how, function, args in ways_to_shift:
+        stretched = _stretched(how)
         # about another point than where the instrument is said to stand: everything shifts as well
-        shifts = [Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3)]
+        shifts = [Column("frame", function, dict(args), 0, comp) for comp in range(3)]
         for columns in (stretched, [*stretched, *shifts]):
-            yield replace(
-                rival(c, None, None, (f"temp_{place}_C",), columns), covariate=f"distance × temp_{place}_C"
-            )
+            yield replace(rival(c, None, None, (name,), columns), covariate=f"distance × {name}")
+
+
+def _stretched(by: dict[str, str]) -> list[Column]:
+    """Every way in which the space around the instrument may be stretched or sheared."""
+    pairs = itertools.combinations_with_replacement(range(3), 2)
+    return [Column("points", "strain", {"first": a, "second": b, **by}) for a, b in pairs]

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, temperature_places
+from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, temperature_places
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -61,12 +61,6 @@ def smooth_pair(c: Context, frame: int, comp: int, first: str, second: str) -> C
 def ends(c: Context) -> list[tuple[int, int]]:
     """Every component of the base, then of the tip."""
     return [(frame, comp) for frame in (0, c.machine.n) for comp in range(6)]
-
-
-def nobody_knows(c: Context) -> list[str]:
-    """Covariates that no name is about."""
-    r = c.recording
-    return [f"cov_{k}" for k, v in r.covariates.items() if np.isfinite(v).all() and np.ptp(v) > 0]
 
 
 def stands_still(c: Context, name: str) -> bool:

@@ -12,7 +12,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import STANDSTILL
 from ppshw.terms.history import former, hours_since_change, lagged, way_since_reversal
 from ppshw.terms.shapes.context import Context
-from ppshw.terms.shapes.instrument import incidence, seen_at
+from ppshw.terms.shapes.sight import incidence, rays_to, seen_at
 from ppshw.terms.shapes.wrenches import payloads_of
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ def named_column(c: Context, name: str) -> Array:
         seen = incidence(c)[1].mean(axis=1)
         return np.asarray(seen[:, int(np.argmax(seen.std(axis=0)))])
     if name == "distance":
-        return np.asarray(np.linalg.norm(c.points - c.measuring_in_base[:3, 3], axis=2).mean(axis=1))
+        return np.asarray(np.linalg.norm(rays_to(c), axis=2).mean(axis=1))
     if name == "reach":
         return np.asarray(np.linalg.norm(c.chain[:, -1, :3, 3] - c.chain[:, 0, :3, 3], axis=1))
     if name.startswith("way_"):
@@ -114,6 +114,11 @@ def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: i
 def bump(at: Array, knot: int, count: int) -> Array:
     """The knot-th of `count` Gaussian bumps, evenly over 0 … 1."""
     return np.asarray(np.exp(-0.5 * ((at * (count - 1) - knot) / 1.2) ** 2))
+
+
+def above_mean(c: Context, name: str) -> Array:
+    """A column, in its unit, less its mean in the recording that it was made from; 0 where it is empty."""
+    return c.once(("above mean", name), lambda: _standard(c, name)[0])
 
 
 def _standard(c: Context, name: str) -> tuple[Array, Array]:

@@ -6,20 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.covariates import above_mean
+from ppshw.terms.shapes.sight import incidence, rays_to, seen_at
 from ppshw.terms.shapes.time_and_heat import temperature
 
 Array = NDArray[np.float64]
 
 
-def scale(c: Context, place: str = "", tau: float = 0.0) -> Array:
+def scale(c: Context, place: str = "", tau: float = 0.0, name: str = "") -> Array:
     """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature, lagging by tau
-    hours where the beam's air follows the thermometer's."""
-    return _rays(c, place, tau)
+    hours where the beam's air follows the thermometer's; with a column's name, per unit of it above its mean."""
+    return _rays(c, place, tau, name)
 
 
-def strain(c: Context, first: int, second: int, place: str = "") -> Array:
-    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place."""
-    rays = _rays(c, place)
+def strain(c: Context, first: int, second: int, place: str = "", name: str = "") -> Array:
+    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place, per unit of
+    a column with its name."""
+    rays = _rays(c, place, name=name)
     out = np.zeros_like(rays)
     out[..., first], out[..., second] = rays[..., second], rays[..., first]
     return out
@@ -47,35 +50,14 @@ def refraction(c: Context, place: str, part: int) -> Array:
     """What bends upwards per kelvin: by a coordinate in the measuring frame (part 0 to 2), evenly (3), with the squared
     distance from its origin (4): together with the squared distance from wherever the instrument stands. The beam does
     in air whose temperature changes with height."""
-    rays = c.points - c.measuring_in_base[:3, 3]
-    up = c.machine.up
+    rays, up = rays_to(c), c.machine.up
     parts = (*np.moveaxis(rays, 2, 0), np.ones(rays.shape[:2]), (rays**2).sum(axis=2))
     return np.asarray((parts[part] * temperature(c, place, 0.0)[:, None])[..., None] * up)
 
 
-def _rays(c: Context, place: str, tau: float = 0.0) -> Array:
-    """(N, T, 3) from the instrument to the targets; times a temperature with a place."""
-    rays = c.points - c.measuring_in_base[:3, 3]
+def _rays(c: Context, place: str = "", tau: float = 0.0, name: str = "") -> Array:
+    """(N, T, 3) from the instrument to the targets; times a temperature with a place, a column with a name."""
+    rays = rays_to(c)
+    if name:
+        return np.asarray(rays * above_mean(c, name)[:, None, None])
     return np.asarray(rays * temperature(c, place, tau)[:, None, None] if place else rays)
-
-
-def seen_at(c: Context, angle: str) -> tuple[Array, Array]:
-    """The angle at which the instrument sees every target (N, T), and how that moves as it grows (N, T, 3)."""
-    rays = c.points - c.measuring_in_base[:3, 3]
-    up = c.machine.up
-    ahead = c.measuring_in_base[:3, 0] if abs(c.measuring_in_base[:3, 0] @ up) < 0.9 else c.measuring_in_base[:3, 1]
-    ahead = ahead - (ahead @ up) * up
-    ahead /= np.linalg.norm(ahead)
-    height = rays @ up
-    level = rays - height[..., None] * up
-    away = np.maximum(np.linalg.norm(level, axis=2), 1e-9)
-    if angle == "azimuth":
-        return np.arctan2(rays @ np.cross(up, ahead), rays @ ahead), np.cross(up, level)
-    return np.arctan2(height, away), away[..., None] * up - (height / away)[..., None] * level
-
-
-def incidence(c: Context) -> tuple[Array, Array]:
-    """Unit vectors of the beams in the base and in the end effector's axes: (N, T, 3) each."""
-    rays = c.points - c.measuring_in_base[:3, 3]
-    beam = rays / np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), 1e-9)
-    return beam, np.einsum("nji,ntj->nti", c.tips[:, :3, :3], beam)

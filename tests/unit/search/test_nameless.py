@@ -308,6 +308,28 @@ def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space:
     assert said["scale_per_K"]["value"] == pytest.approx(6e-5, rel=0.2)
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("elsewhere", [0.0, 3.0])
+def test_a_scale_that_follows_a_pressure_is_the_scale_or_without_that_name_unexplained(
+    space: Workspace, known: bool, elsewhere: float
+) -> None:
+    """It was a drift of 0.95 (another author's 058). elsewhere: how far the instrument stands from where it is said to
+    stand [m]."""
+    c, name = space.context, "cov_pressure"
+    values = space.recording.covariates["pressure"]
+    rays = c.points - c.measuring_in_base[:3, 3] - np.array([elsewhere, 0.0, 0.0])
+    moved = 5e-5 * rays * (values - values.mean())[:, None, None] / values.std()
+    there = replace(space, data=space.data + moved.reshape(space.data.shape))
+    found, tried = look(there, ["tracker_scale", "drift"] if known else ["drift"], name)
+    assert [f.name for f in found] == [("tracker_scale" if known else "nameless", None)]
+    if known:
+        said = finding(there, tried, found[0])["parameters"]["scale_per_unit"]
+        assert said["value"] == pytest.approx(5e-5 / values.std(), rel=0.2)
+        assert said["unit"] == f"1/unit of {name}"
+    else:
+        assert name in best_of(tried, found[0]).covariates
+
+
 @pytest.mark.parametrize(("scale", "is_one"), [(0.0, False), (2e-5, True)])
 def test_what_shifts_with_the_air_is_a_scale_only_where_distances_grow_too(
     space: Workspace, scale: float, is_one: bool
