@@ -299,8 +299,10 @@ def misread_name(args: Mapping[str, Any], again: bool) -> str:
     of, source = args["component"], args.get("source", -1)
     kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
     hourly = "_per_hour" * (args.get("time") == "linear")
+    if "turned" in args:
+        return f"turned_{'xyz'[args['turned']]}" + "_versine" * (args.get("times") == 2)
     if of < 0:
-        return "gain" + (kelvin or hourly)
+        return "gain" + (f"_of_{args['only']}" if "only" in args else kelvin or hourly)
     name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
     if args.get("bent"):
         return f"{name}_{args['bent']}"
@@ -313,6 +315,8 @@ def misread_unit(args: Mapping[str, Any]) -> str:
     """Unit of what a force sensor reads too much: a load, per hour or kelvin; a share of a reading, per load where it
     grows with it."""
     of, source = args["component"], args.get("source", -1)
+    if "turned" in args:
+        return "1" if args.get("times") == 2 else "rad"
     if "place" in args and (of < 0 or source == of):
         return "1/K"
     if of < 0:

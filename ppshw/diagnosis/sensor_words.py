@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, weigh
 from ppshw.diagnosis.parameters import misread_name, misread_unit
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import enumerated
-from ppshw.terms.shapes import Context
+from ppshw.terms.shapes import Column, Context
 
+Array = NDArray[np.float64]
 FEW = 3  # numbers of a form that are worth telling
 
 
@@ -36,10 +40,21 @@ def doubt(c: Context) -> str:
     )
 
 
+def turned(columns: Sequence[Column], values: Array) -> str:
+    """By how much and about which of its axes a force sensor is mounted otherwise than its file says."""
+    angles = [
+        f"{np.degrees(np.arcsin(np.clip(value, -1.0, 1.0))):.1f}° about its {'xyz'[column.args['turned']]}"
+        for value, column in zip(values, columns, strict=True) if column.args.get("times") != 2
+    ]  # fmt: skip
+    return f"turned by {enumerated(angles)}"
+
+
 def _error(found: Weighing) -> str:
     first = found.forms[0]
     columns, lag = [column.args for column in first.form.columns], first.form.shape.get("lag_h", 0.0)
-    if len(columns) <= FEW:
+    if "turned" in columns[0]:
+        said = f"as if it were mounted {turned(first.form.columns, first.values)}"
+    elif len(columns) <= FEW:
         numbers = [
             f"{misread_name(args, again=len(columns) > 1)} {value:.3g} ± {std:.2g} {unit}".rstrip(" 1")
             for args, value, std, unit in zip(

@@ -17,7 +17,7 @@ from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
-from ppshw.diagnosis.sensor_words import against_gravity
+from ppshw.diagnosis.sensor_words import against_gravity, turned
 from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
@@ -30,6 +30,12 @@ from ppshw.terms.shapes.reflectors import gravity_in_tip
 Array = NDArray[np.float64]
 LEAST_WEIGHT = 0.01
 MUCH = 0.5  # of what a drift does along the axis where it goes farthest
+# Of what was read, and by which its gain may be off: units of old.
+UNITS = {
+    "forces": (("kilograms-force", 1 / 9.80665), ("pounds-force", 1 / 4.44822), ("kilonewtons", 1e-3)),
+    "moments": (("newton millimetres", 1e3), ("pound-feet", 1 / 1.35582), ("kilonewton metres", 1e-3)),
+}
+ABOUT = 0.2
 NEARLY_TWICE = 0.2  # by which a component's error may differ from twice what it reads
 WEIGHT_TOLD = 0.1  # on the terminal
 LEAST_P = 1e-12
@@ -236,12 +242,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         f"{_high(c, candidate, values, unit)}({size}).",
         "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
         f"({size}).",
-        "wrench_error": f"the force sensor reads other than what hangs there weighs in every attitude ({size})"
-        + _weighing(c, candidate)
-        if candidate.columns[0].function == "weighed"
-        else f"the force sensor's {_channels(candidate)} in gain, cross-talk or zero"
-        + (f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else "")
-        + f"{_turned(candidate, values)} ({size})" + _weighing(c, candidate),
+        "wrench_error": f"the force sensor{_misreads(candidate, values)} ({size})" + _weighing(c, candidate),
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
@@ -323,12 +324,23 @@ def _weighing(c: Context, candidate: Candidate) -> str:
     return f"; against gravity it reads {said}." if said else "."
 
 
-def _turned(candidate: Candidate, values: Array) -> str:
-    """Where a component of the wrench is wrong by twice itself."""
+def _misreads(candidate: Candidate, values: Array) -> str:
+    """What a force sensor does wrong."""
+    if candidate.effect != "wrench_error":
+        return ""
     args = candidate.columns[0].args
-    by_itself = candidate.effect == "wrench_error" and args.get("source", -1) == args.get("component")
-    twice = by_itself and abs(values[0] - 2.0) < NEARLY_TWICE
-    return ", nearly as if its sign were turned" if twice else ""
+    if candidate.columns[0].function == "weighed":
+        return " reads other than what hangs there weighs in every attitude"
+    if "turned" in args:
+        return f" reads as if it were mounted {turned(candidate.columns, values)}"
+    if "only" in args:
+        times = 1.0 / (1.0 - values[0]) if values[0] < 1.0 else np.inf
+        units = [f", nearly as if in {name}" for name, of_it in UNITS[args["only"]] if abs(times / of_it - 1.0) < ABOUT]
+        return f"'s {args['only']} are read {times:.3g} times as large as they are{''.join(units)}"
+    when = f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else ""
+    by_itself = args.get("source", -1) == args.get("component")
+    twice = ", nearly as if its sign were turned" if by_itself and abs(values[0] - 2.0) < NEARLY_TWICE else ""
+    return f"'s {_channels(candidate)} in gain, cross-talk or zero{when}{twice}"
 
 
 def _high(c: Context, candidate: Candidate, values: Array, unit: str) -> str:

@@ -107,6 +107,35 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     assert f"moves with {any_way.covariate}: its" in sentence(space.context, any_way, np.full(6, 1e-5), 1e-4)
 
 
+@pytest.mark.parametrize(
+    ("only", "times", "said"),
+    [
+        ("forces", 1 / 9.80665, " read 0.102 times as large as they are, nearly as if in kilograms-force ("),
+        ("forces", 0.9, "'s forces are read 0.9 times as large as they are ("),
+        ("moments", 1e3, "'s moments are read 1e+03 times as large as they are, nearly as if in newton millimetres ("),
+    ],
+)
+def test_forces_and_moments_in_other_units_are_said_to_be_that(
+    space: Workspace, only: str, times: float, said: str
+) -> None:
+    gain = next(k for k in library(space.context) if k.columns[0].args.get("only") == only)
+    values = np.array([1.0 - 1.0 / times])  # of what is read, too much
+    assert said in sentence(space.context, gain, values, 1e-4)
+    assert list(numbers_of(space.context, gain, values, np.eye(1))) == [f"gain_of_{only}"]
+
+
+def test_a_sensor_that_is_mounted_turned_is_said_to_be_that(space: Workspace) -> None:
+    turns = [k for k in library(space.context) if "turned" in k.columns[0].args]
+    about_z = next(k for k in turns if k.columns[0].args["turned"] == 2)
+    values = np.array([np.sin(0.2), 1.0 - np.cos(0.2)])
+    said = sentence(space.context, about_z, values, 1e-4)
+    assert " reads as if it were mounted turned by 11.5° about its z (" in said
+    assert list(numbers_of(space.context, about_z, values, np.eye(2))) == ["turned_z", "turned_z_versine"]
+    askew = next(k for k in turns if len(k.columns) == 3)
+    said = sentence(space.context, askew, np.array([0.02, 0.0, -0.05]), 1e-4)
+    assert " turned by 1.1° about its x, 0.0° about its y and -2.9° about its z (" in said
+
+
 @pytest.mark.parametrize(("axis", "times"), [([0, 0, -1.0], -1.0), ([0, 0.6, 0.8], 1.25), ([0, 0, 1.0], 1.0)])
 def test_what_a_joint_does_is_said_along_its_own_axis(space: Workspace, axis: list[float], times: float) -> None:
     """A gap of 0.200 mm was -0.204 along an axis that points down, and 0.163 along an oblique one."""

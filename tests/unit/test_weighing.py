@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, reads_other, ruled_out, weigh
@@ -83,6 +85,37 @@ def test_its_readings_alone_say_which_error_it_is(
     assert [column.args for column in first.form.columns] == [args]
     if value is not None:
         assert first.values[0] == pytest.approx(value, rel=0.01, abs=0.003)  # the base stands a few mrad askew
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 10.0), (1, -4.0), (2, 25.0)])
+def test_a_sensor_that_is_mounted_turned_says_by_how_much(
+    clean: Context, noise: float, axis: int, degrees: float
+) -> None:
+    """A matrix of 36 numbers said a ten-thousandth more where the sensor had no noise."""
+    r = clean.recording
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis]).inv()
+    read = np.concatenate([turn.apply(r.wrench[:, :3]), turn.apply(r.wrench[:, 3:])], axis=1)
+    c = reading(clean, read + np.random.default_rng(5).normal(0.0, noise, read.shape) * [1.0, 1.0, 1.0, 0.3, 0.3, 0.3])
+    found = weighed(c)
+    assert found.one_form
+    assert [column.args.get("turned") for column in found.forms[0].form.columns] == [axis] * 2
+    assert found.forms[0].values[0] == pytest.approx(np.sin(np.radians(degrees)), abs=2e-3)
+    assert found.forms[0].values[1] == pytest.approx(1.0 - np.cos(np.radians(degrees)), abs=4e-3)
+    said = re.search(r"as if it were mounted turned by (-?\d+\.\d)° about its ([xyz])$", against_gravity(c))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(degrees, abs=0.15)  # the base stands a few mrad askew
+    assert said[2] == "xyz"[axis]
+
+
+def test_a_sensor_that_is_mounted_askew_says_about_which_axes(clean: Context) -> None:
+    r = clean.recording
+    turn = Rotation.from_rotvec([0.03, 0.0, -0.05]).inv()
+    read = np.concatenate([turn.apply(r.wrench[:, :3]), turn.apply(r.wrench[:, 3:])], axis=1)
+    noise = np.random.default_rng(5).normal(0.0, 1.0, read.shape) * [1.0, 1.0, 1.0, 0.3, 0.3, 0.3]
+    first = weighed(reading(clean, read + noise)).forms[0]
+    assert [column.args.get("turned") for column in first.form.columns] == [0, 1, 2]
+    np.testing.assert_allclose(first.values, [0.03, 0.0, -0.05], atol=3e-3)
 
 
 def test_a_zero_that_jumps_says_when(clean: Context) -> None:

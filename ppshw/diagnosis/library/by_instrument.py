@@ -79,6 +79,14 @@ def force_sensor(c: Context) -> Iterator[Candidate]:
         yield Candidate("wrench_error", None, None, None, "load", (beside,), share=3.0, way=1)
     gain = Column("frames", "sensor_error", {"component": -1})
     yield Candidate("wrench_error", None, None, None, "load", (gain,), share=3.0)
+    for only in ("forces", "moments"):  # in other units, for one
+        of_some = Column("frames", "sensor_error", {"component": -1, "only": only})
+        yield Candidate("wrench_error", None, None, None, "load", (of_some,))
+    turns = [Column("frames", "sensor_error", {"component": -1, "turned": axis}) for axis in range(3)]
+    for turn in turns:
+        farther = Column("frames", "sensor_error", {**turn.args, "times": 2})
+        yield Candidate("wrench_error", None, None, None, "load", (turn, farther))
+    yield Candidate("wrench_error", None, None, None, "load", tuple(turns))
     ageing = Column("frames", "sensor_error", {"component": -1, "time": "linear"})
     yield Candidate("wrench_error", None, None, None, "time", (ageing,), share=0.5)
     # a calibration matrix of its own: of every channel's gain, or of all that it has

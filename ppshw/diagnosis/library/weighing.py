@@ -31,7 +31,9 @@ LEAST_MORE = 10.0  # of log evidence, for one form more
 HARDLY, OF_MANY, SURELY = 2e-5, 5e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
 LEAST_FREE = 40  # visits more than what their readings may go with
 NO_LESS = 1e-6  # of the largest force or moment, as noise
-LIKELIER = 10.0  # than what all that is read beside makes: a form that is all of it
+# Than what all that is read beside makes: a form that is all of it, per number that the readings know.
+LIKELIER = 10.0
+NEARLY = 1e-3  # of the log evidence, by which fewer numbers may say less: some sensors have hardly any noise
 PART, VISITS = 64, 512  # columns and visits at a time
 MANY = 6  # numbers of a form: a zero or a gain of every channel
 SMALLEST = 1e-9  # of what a column makes that no payload takes
@@ -75,7 +77,7 @@ def as_weighed(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
         for k in whole:
             k.covariate = first.covariate
         if weighing.one_form:
-            first.share = LIKELIER * whole[0].share
+            first.share = LIKELIER ** len(first.columns) * whole[0].share
     return kept
 
 
@@ -101,7 +103,7 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
         gram, goes = free.T @ free, free.T @ rest
         more = np.array([_evidence(gram, goes, at[k], len(c.recording)) for k in range(len(forms))])
         more += np.log([k.share for k in forms])
-        best = int(np.argmax(more))
+        best = _fewest(more, at)
         if more[best] < LEAST_MORE:
             break
         used += at[best]
@@ -112,6 +114,12 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
             if left_by_first < ALL_OF_IT:
                 break
     return Weighing(wrong, by, _fitted(c, chosen, noise), left_by_first < ALL_OF_IT) if chosen else None
+
+
+def _fewest(more: Array, at: Sequence[Sequence[int]]) -> int:
+    """Which form says most, or nearly as much with fewest numbers."""
+    enough = np.flatnonzero(more >= more.max() - NEARLY * abs(float(more.max())))
+    return min(enough.tolist(), key=lambda k: (len(at[k]), -more[k]))
 
 
 def ruled_out(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -21,14 +21,18 @@ def sensor_error(c: Context, component: int, **args: Any) -> Array:
 
 
 def misread(
-    c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0, bent: str = ""
-) -> Array:
+    c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0, bent: str = "",
+    only: str = "", turned: int = -1, times: int = 1,
+) -> Array:  # fmt: skip
     """(N, 6) what is read too much [N, N·m] when a component of the sensor is off by 1, by its reading `source`, with
     time (form and tau of `clock`), or with a temperature (lagged by tau hours).
 
     component  −1: all six, each by its own reading (gain), in proportion to time or a temperature where one is given
     bent       by the square of that reading, "even" or with its sign, "odd": the gain changes with the load; by its
                size, "sided": it is another one for pull than for push
+    only       of all six "forces" or "moments" alone
+    turned     an axis of its own, 0 to 2: it is mounted turned about it by an angle whose sine is 1 (times 1), or whose
+               versine is −1 (times 2); of any angle both
     """
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
@@ -42,7 +46,13 @@ def misread(
         size = size * temperature(c, place, tau)
     wrench = np.zeros((count, 6))
     if component < 0:
-        wrench = size[:, None] * c.recording.wrench
+        vectors = c.recording.wrench.reshape(count, 2, 3)
+        if turned >= 0:
+            for _ in range(times):
+                vectors = np.cross(vectors, np.eye(3)[turned])
+        if only:
+            vectors = vectors * (np.array(["forces", "moments"]) == only)[:, None]
+        wrench = size[:, None] * vectors.reshape(count, 6)
     else:
         wrench[:, component] = size
     return wrench
