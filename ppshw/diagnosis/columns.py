@@ -34,7 +34,9 @@ Array = NDArray[np.float64]
 # A mistake is said when one column's correction takes the misfit to less than this share of what it was, and the misfit
 # was gross: for positions in metres, for wrenches as a share of the wrench itself.
 BETTER = 0.2
-BETTER_SIGN = 0.5  # of a joint's: no joint's own error is a slope of -2, and tilts of short travel move little
+# Of a joint's sign, and of two that are exchanged: no joint's own error is a slope of -2 or another's position, and
+# tilts of short travel move little.
+BETTER_SIGN = 0.5
 GROSS_M = 0.01
 SIGN_M = 1e-3  # of a joint's sign
 MANY, MEANS_M = 10, 0.05  # visits; how far the reflectors' means may be off for anything to be said of exchanges
@@ -89,7 +91,7 @@ class Mistake:
     @property
     def asked(self) -> float:
         """To what share of the misfit a correction must take it."""
-        return BETTER_SIGN if self.factor == -1.0 and self.column.startswith("q_") else BETTER
+        return BETTER_SIGN if self.factor in (-1.0, None) and self.column.startswith("q_") else BETTER
 
     @property
     def said(self) -> str:
@@ -215,6 +217,12 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
         units = SIGN if before < GROSS_M else LENGTHS if joint.prismatic else ANGLES
         for factor, what in units.items():
             yield _tried(machine, _scaled(recording, [k], factor), f"q_{joint.name}", factor, what, before)
+    for one, other in itertools.combinations(range(machine.n), 2):
+        if machine.joints[one].prismatic == machine.joints[other].prismatic:
+            q = recording.q.copy()
+            q[:, [one, other]] = q[:, [other, one]]
+            names = [f"q_{machine.joint_names[k]}" for k in (one, other)]
+            yield _tried(machine, replace(recording, q=q), " and ".join(names), None, "is exchanged", before)
     if before < GROSS_M:
         return
     names = [f"{name}_{axis}" for name in recording.target_names for axis in "xyz"]
@@ -232,6 +240,11 @@ def _positions(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake
                 points = recording.points.copy()
                 points[:, t, a] *= factor
                 yield _tried(machine, replace(recording, points=points), f"{name}_{axis}", factor, what, before)
+        for factor in (1e-3, 1e3):
+            points = recording.points.copy()
+            points[:, t] *= factor
+            column, changed = _from_to([f"{name}_{axis}" for axis in "xyz"]), replace(recording, points=points)
+            yield _tried(machine, changed, column, factor, LENGTHS[factor], before)
     for column, points in _exchanged(recording):
         yield _tried(machine, replace(recording, points=points), column, None, "is exchanged", before)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
-from ppshw.kinematics import frames, point_positions
+from ppshw.kinematics import frames, point_positions, tip_poses
 from ppshw.machine import RADIUS_986, Machine
 from ppshw.quantities import distance
 from ppshw.recording import Recording, directions, listed
@@ -48,11 +48,13 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     """The recording with gross readings, and all of a visit with a misread wrench, taken for lost, and (N,) which
     visits had one.
 
-    Raises RecordingError when not single readings but most of them are far from where the ideal machine has them.
+    Raises RecordingError when not single readings but most of them, or most of one reflector's, are far from where the
+    ideal machine has them.
     """
     kept = recording
     for _ in range(ROUNDS):
-        size, ideal = _missed(machine, recording, kept)
+        off, ideal = _missed(machine, recording, kept)
+        size = np.linalg.norm(off, axis=2)
         median = float(np.nanmedian(np.where(kept.seen, size, np.nan)))
         gross = recording.seen & _gross(size, median)
         if (gross == (recording.seen & ~kept.seen)).all():
@@ -66,8 +68,30 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
             "should have them; is it this machine, are they in metres, and in the measuring frame of the machine file"
             f"{or_open}?"
         )
+    _refuse_mostly_gross(machine, recording, gross, off)
     gross |= misread(machine, recording)[:, None] & recording.seen
     return replace(kept, points=np.where(gross[..., None], np.nan, recording.points)), np.asarray(gross.any(axis=1))
+
+
+def _refuse_mostly_gross(machine: Machine, recording: Recording, gross: NDArray[np.bool_], off: Array) -> None:
+    """Raise RecordingError where half of the visits have a gross reading (N, T), off by (N, T, 3) [m] in the base's
+    axes, and name the reflectors that are so at half of theirs."""
+    seen, visits = recording.seen, recording.measured
+    if not gross.any() or 2 * gross.any(axis=1).sum() < visits.sum():
+        return
+    turn = tip_poses(machine, recording.q)[:, :3, :3]
+    said = []
+    for t, name in enumerate(recording.target_names):
+        mine = gross[:, t]
+        if mine.any() and 2 * mine.sum() >= seen[:, t].sum():
+            x, y, z = 1e3 * np.median(np.einsum("nji,nj->ni", turn[mine], off[mine, t]), axis=0)
+            said.append(
+                f"reflector '{name}' is {distance(float(np.median(np.linalg.norm(off[mine, t], axis=1))))} from where "
+                f"the machine file has it, at {mine.sum()} of {seen[:, t].sum()} visits (in the end effector's axes "
+                f"by {x:+.0f}, {y:+.0f}, {z:+.0f} mm): are its place there and the unit of its columns right?"
+            )
+    far = f"{gross.any(axis=1).sum()} of {visits.sum()} visits have a reading far from where the machine has the others"
+    raise RecordingError(f"{recording.source}: {'; '.join(said) or far}")
 
 
 def misread(machine: Machine, recording: Recording) -> NDArray[np.bool_]:
@@ -287,7 +311,7 @@ def _missed_anywhere(machine: Machine, recording: Recording) -> tuple[Array, Arr
 
 
 def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Array, Array]:
-    """(N, T) how far each reading is from the ideal machine [m], the frame placed by `kept`; (N, T, 3) the ideal."""
+    """(N, T, 3) each reading less the ideal machine's [m], the frame placed by `kept`; (N, T, 3) the ideal."""
     frame, targets = machine.tracker.base, machine.target_array
     if not kept.seen.any():
         raise IdentificationFailed(f"{recording.source}: no target was measured")
@@ -296,4 +320,4 @@ def _missed(machine: Machine, recording: Recording, kept: Recording) -> tuple[Ar
     # a chain of frames is a hundred times a reading: of long recordings never all at once
     parts = [point_positions(machine, recording.q[at : at + BLOCK], targets) for at in range(0, len(recording), BLOCK)]
     ideal = np.concatenate(parts)
-    return np.linalg.norm(to_base(recording.points, frame) - ideal, axis=2), ideal
+    return to_base(recording.points, frame) - ideal, ideal

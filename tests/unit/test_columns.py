@@ -50,6 +50,28 @@ def test_a_coordinate_in_millimetres(case: tuple[Machine, Recording]) -> None:
     assert np.allclose(mended.points, recording.points)
 
 
+def test_one_reflector_in_millimetres(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    points, name = recording.points.copy(), recording.target_names[1]
+    points[:, 1] *= 1000.0
+    mended, found = column_mistakes(machine, replace(recording, points=points))
+    assert [(m.column, m.factor) for m in found] == [(f"{name}_x … {name}_z", 1e-3)]
+    assert np.allclose(mended.points, recording.points, equal_nan=True)
+
+
+@pytest.mark.parametrize(("one", "other"), [(4, 5), (3, 5)])
+def test_two_joints_that_are_exchanged(case: tuple[Machine, Recording], one: int, other: int) -> None:
+    """Roll and pitch were two couplings of 0.95 (a reviewer's)."""
+    machine, recording = case
+    q = recording.q.copy()
+    q[:, [one, other]] = q[:, [other, one]]
+    mended, found = column_mistakes(machine, replace(recording, q=q))
+    names = machine.joint_names
+    assert [(m.column, m.factor) for m in found] == [(f"q_{names[one]} and q_{names[other]}", None)]
+    assert found[0].said.endswith(" are exchanged")
+    assert np.array_equal(mended.q, recording.q)
+
+
 def test_the_reaction_instead_of_the_payload(case: tuple[Machine, Recording]) -> None:
     machine, recording = case
     mended, found = column_mistakes(machine, replace(recording, wrench=-recording.wrench))

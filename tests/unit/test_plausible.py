@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,3 +205,30 @@ def test_a_joint_that_always_came_from_one_side_is_said_where_it_comes_from_the_
         lines = calibration.other_sides(comes)
         assert [s in line for s, line in zip(said, lines, strict=True)] == [True] * len(said)
     assert "one_side" not in Calibration.of(found, recording, "joint").provenance
+
+
+def test_a_reflector_whose_place_in_the_machine_file_is_wrong_is_named(tmp_path: Path) -> None:
+    """Every visit is gross then, and none was left to be fitted."""
+    (tmp_path / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    machine, plant = load_machine(tmp_path / "m.yaml"), Plant.from_file(tmp_path / "m.yaml", seed=2)
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 90, np.random.default_rng(4), "mixed", loads=4)
+    recording, name = load_recording(csv, machine), list(machine.targets)[1]
+    targets = {k: np.asarray(place) - (np.array([0.0, 0.24, 0.0]) if k == name else 0.0)
+               for k, place in machine.targets.items()}  # fmt: skip
+    with pytest.raises(RecordingError, match=rf"reflector '{name}' is 2\d\d mm from .*, at 90 of 90 visits") as said:
+        without_gross_errors(machine.with_targets(targets), recording)
+    by = re.search(r"by ([+-]\d+), ([+-]\d+), ([+-]\d+) mm", str(said.value))
+    assert by is not None
+    np.testing.assert_allclose([int(mm) for mm in by.groups()], [0, 240, 0], atol=15)
+
+
+def test_readings_that_are_gross_at_most_visits_are_no_single_ones(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    machine, plant = load_machine(tmp_path / "m.yaml"), Plant.from_file(tmp_path / "m.yaml", seed=2)
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 90, np.random.default_rng(4), "mixed", loads=4)
+    recording, rng = load_recording(csv, machine), np.random.default_rng(1)
+    points = recording.points.copy()
+    for visit in range(60):
+        points[visit, rng.integers(points.shape[1])] += 3.0
+    with pytest.raises(RecordingError, match="60 of 90 visits have a reading far from where the machine has the oth"):
+        without_gross_errors(machine, replace(recording, points=points))
