@@ -96,7 +96,7 @@ class Corrections:
         if last is not None and last.load != around.load and last.time < around.put_on <= around.time:
             came = approach_of(last.q, here, last.approach)  # the one lay there until the other was put on
             until = replace(last, time=around.put_on - 0.1, run_up=None)
-            last = Moment(here, came, wrench, around.put_on + 0.1, around.load, around.temperatures)
+            last = Moment(here, came, wrench, around.put_on + 0.1, around.load)
             self._past = known.remember(self._past, until, last)
         if last is None or np.abs(here - last.q).max() > AT_REST:  # it was moved by somebody else
             approach = np.zeros(len(here), dtype=np.int64) if last is None else approach_of(last.q, here, last.approach)

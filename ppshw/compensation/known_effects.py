@@ -26,7 +26,7 @@ from ppshw.recording import Recording
 from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
-from ppshw.terms.history import hours_since_change, payloads, weighs
+from ppshw.terms.history import hours_since_change, lagged, payloads, weighs
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -51,6 +51,7 @@ EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anyt
 FARTHER_K = 5.0  # that a thermometer may read beyond where effects were measured, or by as much as it ran through there
 ANOTHER_LOAD = 2.0  # times as far as the sensor ever read beside a load: another one under its label (a judgement)
 A_LITTLE = 0.01  # of the largest force or moment: what a setpoint's pose turns
+AT_ONCE_S = 0.1  # between what changes all at once and what was before it
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
 
@@ -94,6 +95,7 @@ class KnownEffects:
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
         self._compliance_at: tuple[Array, Array] | None = None
         self._courses: dict[tuple[object, ...], Array] = {}
+        self._late: dict[tuple[str, float], float] = {}
 
     @property
     def machine(self) -> Machine:
@@ -147,9 +149,8 @@ class KnownEffects:
                 f"the load has lain there for longer than any did while it was measured ({60 * oldest:.0f} min); "
                 "taken as then"
             )
-        lag = max((float(c.args.get("tau", 0.0)) for c in effect.columns if c.args.get("place")), default=0.0)
-        if lag > 0 and not any(m.temperatures for m in past.moments):
-            reserve.append(f"lags by {lag:g} h: taken as steady")
+        steady = self._taken_as_steady(effect.columns, now, past)
+        reserve += [f"lags {place} by {lag:g} h: taken as steady before it was read" for place, lag in steady.items()]
         reserve += self._beyond(effect.places, now, "carried on as it was")
         return True, "; ".join(reserve)
 
@@ -234,6 +235,10 @@ class KnownEffects:
             if math.isfinite(high - low):
                 felt = [{**now.temperatures, place: low + share * (high - low)} for share in EVENLY]
                 yield [(replace(now, temperatures=each), past) for each in felt]
+        for place, lag in self._taken_as_steady(columns, now, past).items():
+            by = math.sqrt(1.5) * self._late_by(place, lag)
+            was = [now.temperatures[place] + side * by for side in (-1.0, 0.0, 1.0)]
+            yield [(now, self._was(now, past, place, celsius)) for celsius in was]
         first = past.moments[0] if past.moments else now
         for joint in (j for j in _joints(columns, FROM_WAY) if now.approach[j] and not first.approach[j]):
             yield [(now, _all_come_from(past, joint, side)) for side in (-1, 1)]
@@ -249,6 +254,43 @@ class KnownEffects:
             yield [
                 (now, self.loaded_for(now, age, start, first.approach, lay)) for lay in (np.zeros(6), *self._loads(now))
             ]
+
+    def _taken_as_steady(self, columns: Iterable[Column], now: Moment, past: Past) -> dict[str, float]:
+        """Of thermometers that columns follow late and that read something now: by how much [h] at most, where nobody
+        knows what they read so long ago."""
+        late: dict[str, float] = {}
+        for column in columns:
+            place, lag = str(column.args.get("place", "")), float(column.args.get("tau", 0.0))
+            if lag > 0.0 and place in now.temperatures:
+                late[place] = max(lag, late.get(place, 0.0))
+        times = self._times([*past.moments, now])
+        since = {
+            place: [t for t, m in zip(times, past.moments, strict=False) if place in m.temperatures] for place in late
+        }
+        return {p: lag for p, lag in late.items() if not since[p] or times[-1] - since[p][0] < 3600.0 * lag}
+
+    def _was(self, now: Moment, past: Past, place: str, celsius: float) -> Past:
+        """The past, had a thermometer read this until it was read first."""
+        times = self._times([*past.moments, now])
+        first = next((k for k, m in enumerate(past.moments) if place in m.temperatures), len(past.moments))
+        before = [replace(m, temperatures={**m.temperatures, place: celsius}) for m in past.moments[:first]]
+        there = [*before[-1:], *past.moments[:1], now][0]
+        said = {**there.temperatures, place: celsius}
+        until = replace(there, time=float(times[first]) - AT_ONCE_S, temperatures=said, run_up=None)
+        nothing = replace(past, moments=(), wrenches=None, chain=None, compliance=None)
+        return self.remember(nothing, *before, until, *past.moments[first:])
+
+    def _late_by(self, place: str, lag: float) -> float:
+        """What a thermometer differs by from itself so late, rms over the calibration's visits [K]; where it keeps none
+        what is as likely to be anywhere in its range."""
+        low, high = self._seen_between.get(place, (0.0, 0.0))
+        read = None if self._visits is None else self._visits.temperatures.get(place)
+        if self._visits is None or read is None or not np.isfinite(read).all():
+            return (high - low) / math.sqrt(12.0)
+        if (place, lag) not in self._late:
+            behind = lagged(read, self._visits.time / 3600.0, lag) - read
+            self._late[place, lag] = float(np.sqrt((behind**2).mean()))
+        return self._late[place, lag]
 
     def _loads(self, now: Moment) -> list[Array]:
         """What each of the loads that hung there while effects were measured would read at a moment, (6,) each; of a
@@ -481,8 +523,9 @@ class KnownEffects:
         age = min(age, 3600.0 * self._reference.get("hours", math.inf))
         at = self._times([now])[0]
         lay = np.zeros(6) if lay_before is None else lay_before
-        empty = replace(now, payload=lay, load="before", time=at - age - 0.1)
-        put_on = replace(now, time=at - age + 0.1)
+        now = replace(now, temperatures={})  # nobody says what thermometers read then
+        empty = replace(now, payload=lay, load="before", time=at - age - AT_ONCE_S)
+        put_on = replace(now, time=at - age + AT_ONCE_S)
         past = self.remember(Past(), empty, put_on)
         known, said = seconds is not None, lay_before is not None
         return replace(past, known=known, recorded=said, standing=start is None, on_nothing=known and not said)

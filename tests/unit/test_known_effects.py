@@ -511,6 +511,46 @@ def test_a_temperature_that_nobody_knows_makes_unsure_by_what_it_ran_through() -
     assert along_y(compensator, around=Around(temperatures={"rail": 22.0})) < 1e-9
 
 
+def late_growth(**of: object) -> Compensator:
+    """vertical grows with the rail's temperature an hour ago, by 10 µm per kelvin, hardly unsure."""
+    column = Column("frame", "temperature", {"place": "rail", "tau": 1.0}, VERTICAL + 1, TY)
+    effect = Effect("thermal_growth", "vertical", (column,), (1e-5,), (1e-12,), "by hand")
+    reference = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}
+    return Compensator(replace(base()[1], effects=(effect,), reference=reference, **of))  # type: ignore[arg-type]
+
+
+def test_what_a_thermometer_read_an_hour_ago_makes_unsure_where_nobody_knows() -> None:
+    """A reviewer's growth that lags: 0.032 mm were said of errors of 0.051, and nothing of its past."""
+    anywhere = late_growth(visits=None, temperature_range={"rail": (19.0, 25.0)})
+    warmer = Around(temperatures={"rail": 24.0})
+    assert along_y(anywhere, around=warmer) == pytest.approx(1e-5 * 6.0 / np.sqrt(12.0), rel=0.01)
+    assert asked(anywhere, around=warmer).effects[0].why == "lags rail by 1 h: taken as steady before it was read"
+    visits = measured()
+    hours = (visits.time - visits.time[0]) / 3600.0
+    rose = replace(visits, temperatures={"rail": 20.0 + 3.0 * hours})  # by 3 K an hour, and behind by as much
+    behind = 3.0 * (1.0 - np.exp(-hours))
+    known = late_growth(visits=rose, temperature_range={"rail": (20.0, 40.0)})
+    assert along_y(known, around=warmer) == pytest.approx(1e-5 * np.sqrt((behind**2).mean()), rel=0.02)
+
+
+def test_what_a_thermometer_read_since_an_hour_ago_is_known_where_the_program_saw_it() -> None:
+    anywhere = late_growth(visits=None, temperature_range={"rail": (19.0, 25.0)})
+    assert anywhere.known is not None
+    now = 1.7e9 + 3600.0 * HOURS
+    here = Around(time=now, load="A", temperatures={"rail": 24.0})
+    stood = Moment(BELOW, np.zeros(6, dtype=np.int64), payload(), now - 5400.0, "A", {"rail": 21.0})
+    past = anywhere.known.remember(Past(known=True), stood)
+    found = asked(anywhere, around=here, past=past)
+    assert found.effects[0].why == ""
+    lag = 24.0 - 2.0 * (1.0 - np.exp(-1.5))  # it rose by 2 K an hour, for an hour and a half
+    before = asked(Compensator(replace(base()[1], effects=(), reference={})), around=here)
+    assert found.predicted_error[1] - before.predicted_error[1] == pytest.approx(1e-5 * (lag - 22.0), rel=0.05)
+    lately = replace(stood, time=now - 1200.0)
+    assert "taken as steady" in asked(
+        anywhere, around=here, past=anywhere.known.remember(Past(known=True), lately)
+    ).effects[0].why
+
+
 def test_forms_of_which_only_the_sum_is_known_make_no_more_unsure_than_their_sum() -> None:
     """Growth in two forms: each alone known to a fifth of its size, together to a fiftieth, as errors that cancel."""
     steady = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
@@ -522,9 +562,9 @@ def test_forms_of_which_only_the_sum_is_known_make_no_more_unsure_than_their_sum
     assert np.allclose(related.spread.T @ related.spread, std**2 * np.array([[1.0, rho], [rho, 1.0]]))
     assert Effect.from_dict(json.loads(json.dumps(related.as_dict()))) == related
     reference, warmer = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}, Around(temperatures={"rail": 26.0})
+    of_both = replace(base()[1], reference=reference, visits=None, temperature_range={})  # it stood there all the time
     more = [
-        along_y(Compensator(replace(base()[1], effects=(effect,), reference=reference)), around=warmer)
-        for effect in (both, related)
+        along_y(Compensator(replace(of_both, effects=(effect,))), around=warmer) for effect in (both, related)
     ]
     assert more[0] == pytest.approx(4.0 * std * np.sqrt(2.0), rel=0.05)
     assert more[1] == pytest.approx(4.0 * std * np.sqrt(2.0 + 2.0 * rho), rel=0.05)

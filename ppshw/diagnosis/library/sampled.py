@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ppshw.identification.plausible import LOADED_N, LOADED_NM
 from ppshw.machine import Machine
 from ppshw.terms.shapes import Column, Context
 
@@ -53,6 +54,18 @@ def elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
         if joint.elastic is not None:
             known = joint.elastic.load_indices
             yield k + 1, joint.name, [b for b in loads_on(c, k + 1) if b in known]
+
+
+def read_channels(c: Context) -> list[int]:
+    """Channels of the force sensor that vary, where anything ever hung there: with nothing on it nothing goes with it
+    (a moving weight was a moment that it read, of 0.5 N m, times a smooth function of a position; a reviewer's)."""
+    r = c.recording
+    if not r.has_wrench:
+        return []
+    force, moment = np.abs(r.wrench[:, :3]).max(initial=0.0), np.abs(r.wrench[:, 3:]).max(initial=0.0)
+    if len(set(r.load)) < 2 and force < LOADED_N and moment < LOADED_NM:
+        return []
+    return [k for k in range(6) if np.ptp(r.wrench[:, k]) > 0]
 
 
 def temperature_places(c: Context) -> list[str]:

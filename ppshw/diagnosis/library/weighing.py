@@ -31,8 +31,8 @@ LEAST_MORE = 10.0  # of log evidence, for one form more
 HARDLY, OF_MANY, SURELY = 2e-5, 5e-5, 4.0  # m, rms at the reflectors; standard deviations of what the readings say
 LEAST_FREE = 40  # visits more than what their readings may go with
 NO_LESS = 1e-6  # of the largest force or moment, as noise
-# Than what all that is read beside makes: a form that is all of it, per number that the readings know.
-LIKELIER = 10.0
+# Than what all that is read beside makes: a form that is all of it, per number of a few that the readings know.
+LIKELIER, FEW = 10.0, 3
 NEARLY = 1e-3  # of the log evidence, by which fewer numbers may say less: some sensors have hardly any noise
 PART, VISITS = 64, 512  # columns and visits at a time
 MANY = 6  # numbers of a form: a zero or a gain of every channel
@@ -77,7 +77,8 @@ def as_weighed(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
         for k in whole:
             k.covariate = first.covariate
         if weighing.one_form:
-            first.share = LIKELIER ** len(first.columns) * whole[0].share
+            numbers = len(first.columns)
+            first.share = LIKELIER ** (numbers if numbers <= FEW else 1) * whole[0].share
     return kept
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, temperature_places
+from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, read_channels, temperature_places
 from ppshw.diagnosis.nameless.rival import late_columns, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -36,9 +36,7 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
         ways: list[tuple[str, dict[str, object]]] = [
             (name, {"name": name}) for name in (*changes, *(f"q_{joint}" for _, joint in moving_joints(c)))
         ]
-        if c.recording.has_wrench:
-            read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
-            ways += [(WRENCH_COMPONENTS[k], {"load": k}) for k in read]
+        ways += [(WRENCH_COMPONENTS[k], {"load": k}) for k in read_channels(c)]
         for name, by in ways:
             swells = [
                 Column("points", "target_shift", {"target": t, "axis": a, **by})

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.library.by_instrument import MOST_TARES, weighed
 from ppshw.diagnosis.library.by_load import changes_side
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import loads_on, moving_joints, temperature_places
+from ppshw.diagnosis.library.sampled import loads_on, moving_joints, read_channels, temperature_places
 from ppshw.diagnosis.library.weight import own_moment
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
@@ -138,8 +138,8 @@ def mounted(c: Context) -> Iterator[Candidate]:
 
 def of_what_was_read(c: Context) -> Iterator[Candidate]:
     """What hangs there is other than the sensor said, by something that goes with a temperature, up to two hours late,
-    or by a smooth function of a position or of what the sensor read besides."""
-    if not c.recording.has_wrench:
+    or by a smooth function of a position or of what the sensor read besides. Nothing of the kind where nothing hung."""
+    if not (read := read_channels(c)):
         return
     if (beside := weighed(c)) is not None:
         most = int(np.argmax(beside_the_payload(c).std(axis=0) / c.recording.wrench.std(axis=0).clip(min=1e-9)))
@@ -148,7 +148,6 @@ def of_what_was_read(c: Context) -> Iterator[Candidate]:
         args = {"component": component, "place": place}
         off = [Column("frames", "sensor_error", {**args, "tau": tau}) for tau in (0.0, *LATE_H)]
         yield rival(c, None, None, (WRENCH_COMPONENTS[component], f"temp_{place}_C"), off)
-    read = [k for k in range(6) if np.ptp(c.recording.wrench[:, k]) > 0]
     others = [f"q_{joint}" for _, joint in moving_joints(c)] + [WRENCH_COMPONENTS[k] for k in read]
     for component, name in itertools.product(range(6), others):
         if name != WRENCH_COMPONENTS[component]:

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, temperature_places
+from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, read_channels, temperature_places
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -86,8 +86,8 @@ def columns_of(c: Context) -> list[str]:
     out += ["pause"] if np.ptp(named_column(c, "pause")) > 0 else []
     if np.isfinite(r.settle_s).all():
         out.append("settle_s")
-    if r.has_wrench:
-        out += [w for k, w in enumerate(WRENCH_COMPONENTS) if np.ptp(r.wrench[:, k]) > 0]
+    if read := read_channels(c):
+        out += [WRENCH_COMPONENTS[k] for k in read]
         out += ["former_load"] if len(set(r.load)) > 2 else []
     return out
 

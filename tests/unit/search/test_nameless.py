@@ -18,6 +18,7 @@ from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.wording import finding, stand_ins
 from ppshw.diagnosis.workspace import Workspace, prepare
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, named_column
 from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size
@@ -296,6 +297,20 @@ def test_what_a_crane_does_that_is_parked_most_of_the_time_is_unexplained_over_i
     found, tried = look(there, ["zero_shift", "drift", "creep"], "cov_crane_m")
     assert [f.name for f in found] == [("nameless", None)]
     assert (best_of(tried, found[0]).frame, best_of(tried, found[0]).covariates) == ("base", ("cov_crane_m",))
+
+
+@pytest.mark.parametrize(("newtons", "labels", "there"), [(0.3, 1, False), (0.3, 2, True), (30.0, 1, True)])
+def test_nothing_goes_with_what_a_force_sensor_reads_that_never_bore_anything(
+    space: Workspace, newtons: float, labels: int, there: bool
+) -> None:
+    count, rng = len(space.recording), np.random.default_rng(3)
+    wrench = newtons * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, 0.2], 3)
+    load = tuple(f"L{k % labels}" for k in range(count))
+    seen = replace(space.recording, wrench=wrench, load=load)
+    c = replace(space.context, recording=seen, reference=dict(space.context.reference))
+    read = {name for k in nameless(c) for name in k.covariates} & set(WRENCH_COMPONENTS)
+    assert (read == set(WRENCH_COMPONENTS)) == there
+    assert there or not read
 
 
 def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space: Workspace) -> None:
