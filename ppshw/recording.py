@@ -33,6 +33,9 @@ LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there
 SAID = 12  # visits by their numbers
+# A thermometer does not leap by so much, nor by so many times what it mostly changes from visit to visit, and is back
+# after a visit or two; if it says so at more than this share of visits, the air did. Ours.
+SPIKE_C, SPIKE, SPIKES, FEWEST_READ = 5.0, 20.0, 0.02, 10
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,7 @@ class Recording:
     points       (N, T, 3) measured targets in the measuring frame, nan where lost and in copies  [m]
     extra_points name → (N, 3) measured reflectors at points of interest (tip.points)   [m]
     temperatures place → (N,)  [°C], in empty cells between the others, nan where all are;  covariates name → (N,)
+    spikes       place → visits at which its thermometer read what nothing there can have had, taken for empty cells
     sha256       of the canonical CSV text, the same for both forms
     copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
                  instrument repeats itself so, and a row that stands there twice is one reading
@@ -103,6 +107,7 @@ class Recording:
     source: str
     sha256: str
     copies: tuple[int, ...] = ()
+    spikes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -135,6 +140,7 @@ class Recording:
             temperatures={k: v[rows] for k, v in self.temperatures.items()},
             covariates={k: v[rows] for k, v in self.covariates.items()},
             copies=tuple(np.flatnonzero(np.isin(rows, self.copies)).tolist()),
+            spikes={k: tuple(np.flatnonzero(np.isin(rows, v)).tolist()) for k, v in self.spikes.items()},
         )
 
 
@@ -227,6 +233,10 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
     points[copies] = math.nan
     unknown = np.full(len(table.rows), math.nan)
+    temperatures = {n[5:-2]: cells.temperature(n) for n in cells.names if n.startswith("temp_") and n.endswith("_C")}
+    spikes = {place: told for place, values in temperatures.items() if len(told := _spikes(values))}
+    for place, visits in spikes.items():
+        temperatures[place][visits] = math.nan
     return Recording(
         joint_names=joints,
         target_names=tuple(machine.targets),
@@ -240,14 +250,27 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         wrench=wrench,
         points=points,
         extra_points=extra_points,
-        temperatures={n[5:-2]: _between(cells.temperature(n)) for n in cells.names
-                      if n.startswith("temp_") and n.endswith("_C")},
+        temperatures={place: _between(values) for place, values in temperatures.items()},
         covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
         has_wrench=has_wrench,
         source=table.source,
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
         copies=tuple(copies.tolist()),
+        spikes={place: tuple(visits.tolist()) for place, visits in spikes.items()},
     )  # fmt: skip
+
+
+def _spikes(values: Array) -> NDArray[np.int64]:
+    """Visits at which a thermometer reads far from the middle one of five in a row that said anything, where these are
+    few: a broken cell. What leaps again and again, as where visits are not in the order of time, is left."""
+    told = np.flatnonzero(np.isfinite(values))
+    if len(told) < FEWEST_READ:
+        return told[:0]
+    read = values[told]
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(read, 2, mode="reflect"), 5)
+    off = np.abs(read - np.median(around, axis=1))
+    far = off > max(SPIKE_C, SPIKE * float(np.median(np.abs(np.diff(read)))))
+    return told[far] if far.mean() <= SPIKES else told[:0]
 
 
 def _between(values: Array) -> Array:

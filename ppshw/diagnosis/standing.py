@@ -137,6 +137,8 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
         ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
     slowly = f.name[0] == "drift" and tried.candidates[best].frame == tried.candidates[f.best].frame
     least = max((1.0 + NEARLY) * own - ahead, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
+    if every < WITH_ALL:  # of many near forms: what it says by its bare one alone
+        every = max(every, _bare(space, tried, f, others, pieces))
     behind = rival / HANDICAP > least or against or every < WITH_ALL or f.p > NAMED
     if stands := not (behind or _beside_a_riddle(tried, f, others)):
         return _Answer(own, rival, best, stands)
@@ -177,8 +179,9 @@ def _as_its_sibling(space: Workspace, tried: Tried, f: Found, others: list[Found
 def drop_what_riddles_leave(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """What has no name is only known by functions that bend as they need, and leaves something anywhere: a name that
     speaks more quietly, and quietly by itself, is that. Loads, places and sides come in blocks of time: a name that
-    goes with time alone may speak loudly and is that still if it is ten times more quiet."""
-    riddles = [f for f in found if f.name[0] == "nameless"]
+    goes with time alone may speak loudly and is that still if it is ten times more quiet. What noise may be (NAMED)
+    leaves nothing."""
+    riddles = [f for f in found if f.name[0] == "nameless" and f.p <= NAMED]
     named = [f for f in found if f.name[0] != "nameless"]
     if not riddles or not named:
         return

@@ -137,6 +137,11 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"{len(recording.copies)} visits read the same as an earlier one to the last digit "
             f"({listed(recording.copies)}): are these rows copies?"
         )
+    said += [
+        f"temp_{place}_C leaps at {len(visits)} visit{'s' * (len(visits) > 1)} ({listed(visits)}) and is back at once: "
+        "taken for empty there"
+        for place, visits in recording.spikes.items()
+    ]
     for place, values in recording.temperatures.items():
         middle = float(np.nanmedian(values)) if np.isfinite(values).any() else 0.0
         if middle > KELVIN_C:

@@ -27,6 +27,7 @@ from ppshw.machine import load_machine
 from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms import Situation
 from ppshw.terms.effect import Effect
+from ppshw.terms.history import hours_since_change
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.creep import OLDEST_LOAD_H
 from simulators.offline import simulate_recording_csv
@@ -349,6 +350,17 @@ def test_creep_is_taken_as_it_was_when_a_load_had_lain_there_for_the_longest() -
     assert "longer than any did while it was measured (30 min)" in older.effects[0].why
     assert older.effects[0].taken_out
     assert "longer than any" not in young.effects[0].why
+
+
+@pytest.mark.parametrize("form", ["exponential", "log", "wrench", "total"])
+def test_a_calibration_keeps_for_how_long_its_loads_lay_there_whichever_form_its_creep_has(form: str) -> None:
+    """Of those by the wrench on a link it did not, and nothing was said of a load older than any (a reviewer's)."""
+    calibration, recording = base()[1], measured()
+    column = Column("frame", "creeping", {"frame": 2, "component": 3, "tau": 0.4, "form": form}, 2, 3)
+    reference: dict[str, float] = {}
+    context = Context.of(calibration.model, calibration.theta, recording, calibration.measuring_in_base, reference)
+    column.evaluate(context)
+    assert context.reference[OLDEST_LOAD_H] == pytest.approx(hours_since_change(recording.load, context.hours).max())
 
 
 def test_a_load_that_lay_there_for_long_makes_the_next_one_no_older() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ppshw.errors import RecordingError, RunFailed
+from ppshw.identification.plausible import doubts
 from ppshw.machine import load_machine
 from ppshw.recording import Recording, columns_for, load_recording, read_table
 from ppshw.recording_file import RecordingFile
@@ -80,6 +81,27 @@ def test_time_is_utc_whatever_way_it_is_written(tmp_path: Path) -> None:
     found = read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *(f"{t},0,0,0,0,0" for t in written))
     start = datetime(2026, 3, 2, 6, tzinfo=UTC).timestamp()
     assert (found.time - start).tolist() == [0, 1, 2, 2]  # two visits in one second are no step back
+
+
+def test_a_thermometer_s_broken_cells_are_empty_ones(tmp_path: Path) -> None:
+    """Three of 480 cells at 85 and 0 °C let setpoints be driven by any temperature up to that (a reviewer's)."""
+    warm = 20.0 + 0.02 * np.arange(200) + (np.arange(200) > 120) * 8.0  # a night between
+    read_there = warm.copy()
+    read_there[[0, 40, 41, 150]] = 85.0, 85.0, 85.0, 0.0
+    rows = [f"{0.001 * k},0.2,1,2,{k},{t:.2f}" for k, t in enumerate(read_there)]
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z,temp_air_C", *rows)
+    assert found.spikes == {"air": (0, 40, 41, 150)}
+    np.testing.assert_allclose(found.temperatures["air"], warm, atol=0.07)
+    assert found.subset(np.arange(41, 200)).spikes == {"air": (0, 109)}
+    assert doubts(load_machine(tmp_path / "m.yaml"), found)[0].startswith("temp_air_C leaps at 4 visits (1, 41, 42, 15")
+
+
+def test_a_thermometer_that_leaps_again_and_again_is_believed(tmp_path: Path) -> None:
+    warm = np.random.default_rng(1).permutation(np.linspace(18.0, 40.0, 100))  # visits that are not in order
+    rows = [f"{0.001 * k},0.2,1,2,{k},{t:.2f}" for k, t in enumerate(warm)]
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z,temp_air_C", *rows)
+    assert found.spikes == {}
+    np.testing.assert_allclose(found.temperatures["air"], warm, atol=0.01)
 
 
 def test_temperatures_covariates_and_points_of_interest_have_their_names(tmp_path: Path) -> None:

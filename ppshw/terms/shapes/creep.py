@@ -49,11 +49,12 @@ def _late(c: Context, tau: float, form: str) -> Array:
     def late() -> Array:
         if form == "began":
             return np.asarray(c.wrenches[:1] * np.exp(-np.maximum(c.hours, 0.0) / tau)[:, None, None])
+        seen = _as_seen(c)  # for how long loads lay there a calibration keeps, whichever form it has
         if form in ("wrench", "total"):
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, tau))
         g = gravity_at_sensor(c)
-        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form, _as_seen(c))
+        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form, seen)
         return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
 
     return c.once(("late", tau, form), late)
