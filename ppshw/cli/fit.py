@@ -23,6 +23,7 @@ from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
 
 FEW = 40  # visits
+MANY_ASIDE = 0.1  # share of the visits: single ones are not so many
 SAID = 3  # joints and loads outside what was identified; --json has all
 NO_BETTER = 1.05  # times what the ideal machine leaves; a fit that leaves more has failed
 
@@ -64,7 +65,14 @@ def identify(a: argparse.Namespace) -> None:
                 f"{ideal['rms_mm']:.3f} mm: nothing was written"
             )
     looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
-    warnings += as_they_stand(looked(machine, believed)[1])
+    set_aside = np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))
+    if len(set_aside) > MANY_ASIDE * visits:
+        warnings.append(
+            f"{len(set_aside)} of {visits} visits are unlike the others, and were set aside: are all of one state of "
+            "the machine and the instrument?"
+        )
+        warnings += as_they_stand(plain_mistakes(machine, recording)[1])
+    warnings += [w for w in as_they_stand(looked(machine, believed)[1]) if w not in warnings]
     known = Context.of(estimate.model, estimate.theta, believed, estimate.measuring_in_base)
     if said := doubt_of_sensor(known):
         warnings.append(said)
@@ -72,7 +80,6 @@ def identify(a: argparse.Namespace) -> None:
         warnings.append(doubt)
     calibration.save(out)
     warn(a.rec, warnings)
-    set_aside = np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))
     spread = np.sqrt(np.diag(calibration.noise.pose))
     answer = {
         "visits": visits,

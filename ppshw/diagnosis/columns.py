@@ -68,19 +68,20 @@ AXES = ((0, 1), (0, 2), (1, 2))
 @dataclass(frozen=True)
 class Mistake:
     """column times factor is what it should have been, None: columns are exchanged; what is wrong, said of one column;
-    misfit before and after the correction [m], or shares of the wrench."""
+    misfit before and after the correction [m], or shares of the wrench; how columns without a factor were set right."""
 
     column: str
     factor: float | None
     what: str
     before: float
     after: float
+    done: str = "taken the other way round"
 
     def finding(self) -> dict[str, Any]:
         """In the contract's form (§4), under a name of its own."""
         factor = {} if self.factor is None else {"factor": {"value": self.factor, "std": 0.0, "unit": "1"}}
-        taken = "they were taken" if self.several else "it was taken"
-        how = f"{taken} the other way round" if self.factor is None else f"{taken} times {self.factor:g}"
+        were = "they were" if self.several else "it was"
+        how = f"{were} {self.done}" if self.factor is None else f"{were} taken times {self.factor:g}"
         return {
             "effect": "column_mistake", "joint": None, "frame": None, "component": None, "covariate": self.column,
             "region": None, "parameters": factor,
@@ -136,7 +137,9 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
     """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
     forces have the opposite one. What leaves the recording none of this machine's is no correction."""
-    recording, found = _exchanged_at_times(machine, recording)
+    recording, found = _a_row_off(machine, recording)
+    recording, exchanged = _exchanged_at_times(machine, recording)
+    found += exchanged
     given, before = recording, list(found)
     for look in (_positions, _wrenches, _wrench_units):
         for _ in range(3):
@@ -281,9 +284,50 @@ def _exchanged_at_times(machine: Machine, recording: Recording) -> tuple[Recordi
             continue
         mended[np.ix_(here, [a, b])] = mended[np.ix_(here, [b, a])]
         what = f"is exchanged in {here.sum()} visits ({listed(np.flatnonzero(here).tolist())})"
-        misses = (float(np.sqrt((each[here] ** 2).mean())) for each in (given, after))
-        found.append(Mistake(f"{recording.target_names[a]} and {recording.target_names[b]}", None, what, *misses))
+        was, left = (float(np.sqrt((each[here] ** 2).mean())) for each in (given, after))
+        found.append(Mistake(f"{recording.target_names[a]} and {recording.target_names[b]}", None, what, was, left))
     return (replace(recording, points=mended), found) if found else (recording, [])
+
+
+def _a_row_off(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
+    """All reflectors a row late or early from some visit on, as where a row was lost: by where the ideal machine has
+    them, once the instrument is laid by the first third of the visits."""
+    count = len(recording)
+    if count < 2 * MANY or not recording.seen.any():
+        return recording, []
+    ideal = point_positions(machine, recording.q, machine.target_array)
+
+    def missed(points: Array, laid: Array) -> Array:
+        off = np.linalg.norm(points @ laid[:3, :3].T + laid[:3, 3] - ideal, axis=2)
+        return np.asarray(np.nansum(off, axis=1) / np.maximum(np.isfinite(off).sum(axis=1), 1))
+
+    sound = recording.seen & (np.arange(count) < count / 3)[:, None]
+    for _ in range(2):  # by the first visits, then by all that are right
+        if not sound.any():
+            return recording, []
+        laid = fit_rigid(recording.points[sound], ideal[sound])
+        given = missed(recording.points, laid)
+        sound = recording.seen & (given < MEANS_M)[:, None]
+    for rows in (1, -1):
+        points = np.full_like(recording.points, np.nan)
+        into, of = (slice(rows, None), slice(None, -rows)) if rows > 0 else (slice(None, rows), slice(-rows, None))
+        points[into] = recording.points[of]
+        gain = np.cumsum((given - missed(points, laid))[::-1])[::-1]  # by shifting all visits from each on
+        first = int(np.argmax(gain))
+        here = np.arange(count) >= first
+        told = here & np.isfinite(points).any(axis=(1, 2)) & recording.measured
+        if told.sum() < MANY or first < MANY:
+            continue
+        before, after = (float(np.sqrt((each[told] ** 2).mean())) for each in (given, missed(points, laid)))
+        if before < MEANS_M or after > BETTER * before:
+            continue
+        names = [f"{name}_{axis}" for name in recording.target_names for axis in "xyz"]
+        what = f"is a row {'early' if rows > 0 else 'late'} from visit {first + 1} on"
+        if rows > 0:
+            points[first] = np.nan  # what stands before it is that visit's own
+        mended = replace(recording, points=np.where(here[:, None, None], points, recording.points))
+        return mended, [Mistake(_from_to(names), None, what, before, after, "moved back")]
+    return recording, []
 
 
 def _exchanged(recording: Recording) -> Iterator[tuple[str, Array]]:
