@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ppshw import diagnosis
-from ppshw.diagnosis import diagnose
+from ppshw.diagnosis import diagnose, gross
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gross import (
     GrossErrors,
@@ -43,6 +43,15 @@ def bad(clean: Workspace) -> Workspace:
 def test_a_wrong_visit_is_found_and_none_in_a_clean_recording(clean: Workspace, bad: Workspace) -> None:
     assert gross_errors(clean).visits == ()
     assert gross_errors(bad).visits == (BAD,)
+
+
+@pytest.mark.parametrize(("by_chance", "visits"), [(0.06, ()), (0.04, (BAD,))])
+def test_no_visit_is_wrong_that_noise_of_the_others_tails_makes_by_chance(
+    bad: Workspace, monkeypatch: pytest.MonkeyPatch, by_chance: float, visits: tuple[int, ...]
+) -> None:
+    monkeypatch.setattr(gross, "_tail", lambda distance, _, __: np.full(len(distance), by_chance / len(distance)))
+    monkeypatch.setattr(gross, "_too_many", lambda distance, _: np.zeros(len(distance), dtype=bool))
+    assert gross_errors(bad).visits == visits
 
 
 def _off(clean: Workspace, visits: tuple[int, ...], others: float = 0.0, swings: np.ndarray | float = 1.0) -> Workspace:
