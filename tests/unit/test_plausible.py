@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import doubts, misread, rests_off, without_gross_errors
+from ppshw.identification.plausible import doubts, doubts_of_file, misread, rests_off, without_gross_errors
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.offline import simulate_recording_csv
@@ -232,3 +233,29 @@ def test_readings_that_are_gross_at_most_visits_are_no_single_ones(tmp_path: Pat
         points[visit, rng.integers(points.shape[1])] += 3.0
     with pytest.raises(RecordingError, match="60 of 90 visits have a reading far from where the machine has the oth"):
         without_gross_errors(machine, replace(recording, points=points))
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        (lambda m: replace(m, gravity=np.array([0.0, 0.0, -1.0])), "gravity is 1 m/s², expected 9.5 to 10.1"),
+        (lambda m: replace(m, joints=(replace(m.joints[0], com=np.array([50.0, 300.0, 20.0])), *m.joints[1:])),
+         r"com of joint 'rail' is 305 m off its frame, the whole machine reaches [\d.]+ m: are these millimetres\?"),
+        (lambda m: replace(m, joints=(*m.joints[:1], replace(m.joints[1], mass=5.4e5))),
+         r"mass of joint 'turn' is 5.4e\+05 kg: are these grams\?"),
+        (lambda m: replace(m, repeatability=0.14), r"repeatability is 0.14 m: are these millimetres\?"),
+        (lambda m: replace(m, tracker=replace(m.tracker, position_sigma=0.02)), "position_sigma is 0.02 m: are these"),
+        (lambda m: replace(m, sensor_in_link=np.array([[1, 0, 0, 0], [0, 1, 0, 30], [0, 0, 1, 0], [0, 0, 0, 1.0]])),
+         "the origin of force_sensor is 30 m off its frame"),
+    ],
+)  # fmt: skip
+def test_what_a_machine_file_can_hardly_mean_is_asked(
+    tmp_path: Path, odd: Callable[[Machine], Machine], said: str
+) -> None:
+    """Each was taken without a line (a reviewer's)."""
+    (tmp_path / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    machine = load_machine(tmp_path / "m.yaml")
+    assert doubts_of_file(machine) == []
+    found = doubts_of_file(odd(machine))
+    assert len(found) == 1
+    assert re.search(said, found[0])
