@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import _each_once, standing
+from ppshw.diagnosis import _as_scatter, _each_once, standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.library import Candidate, library
@@ -287,6 +287,18 @@ def test_a_name_whose_near_forms_cost_more_than_they_say_stands_by_its_bare_one(
     standing.give_up(space, tried, found)
     space.forget()
     assert [f.name[0] for f in found] == [effect if stands else "nameless"]
+
+
+@pytest.mark.parametrize(("size", "large"), [(0.15, False), (1.0, True)])
+def test_only_what_is_large_beside_the_noise_may_leave_what_looks_like_scatter(
+    space: Workspace, size: float, large: bool
+) -> None:
+    some = [k for k in named(space, "backlash") if k.joint == NAME and len(k.columns) == 1][:1]
+    there = replace(space, data=space.data + of_size(space, some[0].columns[0].evaluate(space.context), size))
+    tried, found = Tried(there, some, 5e-5), [Found(0, ("backlash", NAME), 1e-9, 30.0, first=30.0)]
+    take_up(there, tried, found)
+    assert bool(_as_scatter(there, tried, found)) == large
+    there.forget()
 
 
 def test_two_waves_of_nearly_one_period_are_one_effect_and_speak_together(space: Workspace) -> None:
