@@ -284,13 +284,14 @@ class KnownEffects:
         """What a thermometer differs by from itself so late, rms over the calibration's visits [K]; where it keeps none
         what is as likely to be anywhere in its range."""
         low, high = self._seen_between.get(place, (0.0, 0.0))
-        read = None if self._visits is None else self._visits.temperatures.get(place)
-        if self._visits is None or read is None or not np.isfinite(read).all():
+        if self._visits is None or place not in self._visits.temperatures:
             return (high - low) / math.sqrt(12.0)
         if (place, lag) not in self._late:
+            read = self._visits.temperatures[place]
             behind = lagged(read, self._visits.time / 3600.0, lag) - read
             self._late[place, lag] = float(np.sqrt((behind**2).mean()))
-        return self._late[place, lag]
+        late = self._late[place, lag]
+        return late if math.isfinite(late) else (high - low) / math.sqrt(12.0)
 
     def _loads(self, now: Moment) -> list[Array]:
         """What each of the loads that hung there while effects were measured would read at a moment, (6,) each; of a
