@@ -77,6 +77,7 @@ class CanBus:
         self.stopped = False
         self._network: _Network | None = None
         self._pending: set[int] = set()
+        self._owed: dict[int, int] = {}  # by each node that ever answered: to how many SYNCs it did not yet
         self._loss: Exception | None = None
         self._heartbeat: _HostHeartbeat | None = None
         self._lock: BusLock | None = None
@@ -153,13 +154,24 @@ class CanBus:
         self.network.send_message(can_id, data)
 
     def sync(self) -> None:
+        with self.arrival:
+            self._owed = {node: answers + 1 for node, answers in self._owed.items()}
         self.send(0x80, b"")
+
+    def answered(self, seconds: float) -> None:
+        """Wait, for so long at most, until every SYNC was answered: who asks afterwards hears no older answer."""
+        with self.arrival:
+            self.clock.wait_for(
+                self.arrival, lambda: not any(self._owed.values()) or self._loss is not None, seconds
+            )
+            self._owed = dict.fromkeys(self._owed, 0)
 
     def received(self, node_id: int) -> None:
         """Process data of `node_id` came in; called from the receiving thread."""
         with self.arrival:
             self._pending.discard(node_id)
-            if not self._pending:
+            self._owed[node_id] = max(0, self._owed.get(node_id, 0) - 1)
+            if not self._pending or not any(self._owed.values()):
                 self.arrival.notify_all()
 
     def hears_heartbeat(self, node_id: int, seconds: float) -> bool:
@@ -188,6 +200,7 @@ class CanBus:
                 self.arrival, lambda: not self._pending or self._loss is not None, self.config.answer_timeout
             )
             silent = set(self._pending)
+            self._owed |= dict.fromkeys(silent & self._owed.keys(), 0)
         if silent:
             self.check()
         return silent

@@ -91,9 +91,7 @@ class Stopping:
         until = self._clock.now() + RAMP_S
         before: dict[str, float] = {}
         self._moving = []
-        if self._bus.stopped:  # its SYNCs were answered unawaited: what is still on its way is no look
-            with self._bus.arrival:
-                self._clock.wait_for(self._bus.arrival, lambda: False, LOOK_S)
+        self._bus.answered(LOOK_S)  # a stop awaits no answers to its SYNCs: what is still on its way is no look
         while self._clock.now() < until:
             if self.unstopped:
                 self.at_once()

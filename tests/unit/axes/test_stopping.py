@@ -174,6 +174,29 @@ def test_an_axis_whose_power_went_before_it_stood_is_said(machine: Machine) -> N
     assert set(machine.group.unstopped) == {"slide", "lift", "slew"}
 
 
+def test_answers_to_the_stop_itself_that_come_late_are_no_looks_at_axes_that_stand(machine: Machine) -> None:
+    """A laden host's: two of the moment of the stop came after it, and were taken for two looks 0.1 s apart."""
+    for drive in machine.drives:
+        drive.store(0x6085, 0, 500)
+    bus, late = machine.group._bus, threading.Event()
+    received = bus.received
+
+    def slowly(node_id: int) -> None:
+        if late.is_set():
+            sleep(0.01)  # messages cross the bus in real time
+        received(node_id)
+
+    bus.received = slowly  # type: ignore[method-assign]
+    machine.after(2.5, lambda: machine.drive("slew").trip(0x2310))
+    with pytest.raises(DriveFault):
+        machine.group.move(FAR)
+    late.set()
+    for _ in range(4):
+        bus.sync()  # as a stop that is said again
+    machine.group.close()
+    assert set(machine.group.unstopped) == {"slide", "lift", "slew"}
+
+
 def test_an_axis_that_leaves_its_way_is_stopped_without_a_following_error_of_its_own(
     build: Callable[..., Machine],
 ) -> None:
