@@ -263,11 +263,14 @@ class KnownEffects:
             place, lag = str(column.args.get("place", "")), float(column.args.get("tau", 0.0))
             if lag > 0.0 and place in now.temperatures:
                 late[place] = max(lag, late.get(place, 0.0))
+        if not late:
+            return {}
         times = self._times([*past.moments, now])
         since = {
-            place: [t for t, m in zip(times, past.moments, strict=False) if place in m.temperatures] for place in late
+            place: next((t for t, m in zip(times, past.moments, strict=False) if place in m.temperatures), times[-1])
+            for place in late
         }
-        return {p: lag for p, lag in late.items() if not since[p] or times[-1] - since[p][0] < 3600.0 * lag}
+        return {place: lag for place, lag in late.items() if times[-1] - since[place] < 3600.0 * lag}
 
     def _was(self, now: Moment, past: Past, place: str, celsius: float) -> Past:
         """The past, had a thermometer read this until it was read first."""

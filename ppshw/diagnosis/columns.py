@@ -271,8 +271,7 @@ def _exchanged_at_times(machine: Machine, recording: Recording) -> tuple[Recordi
         return recording, []
 
     def missed(order: Sequence[int]) -> Array:
-        off = np.linalg.norm(points[:, order] - ideal, axis=2)
-        return np.asarray(np.nansum(off, axis=1) / np.maximum(np.isfinite(off).sum(axis=1), 1))
+        return _missed(points[:, order], ideal)
 
     pairs = list(itertools.combinations(range(count), 2))
     given = missed(list(range(count)))
@@ -297,28 +296,27 @@ def _a_row_off(machine: Machine, recording: Recording) -> tuple[Recording, list[
         return recording, []
     ideal = point_positions(machine, recording.q, machine.target_array)
 
-    def missed(points: Array, laid: Array) -> Array:
-        off = np.linalg.norm(points @ laid[:3, :3].T + laid[:3, 3] - ideal, axis=2)
-        return np.asarray(np.nansum(off, axis=1) / np.maximum(np.isfinite(off).sum(axis=1), 1))
+    def missed(points: Array) -> Array:
+        return _missed(points @ laid[:3, :3].T + laid[:3, 3], ideal)
 
     sound = recording.seen & (np.arange(count) < count / 3)[:, None]
     for _ in range(2):  # by the first visits, then by all that are right
         if not sound.any():
             return recording, []
         laid = fit_rigid(recording.points[sound], ideal[sound])
-        given = missed(recording.points, laid)
+        given = missed(recording.points)
         sound = recording.seen & (given < MEANS_M)[:, None]
     for rows in (1, -1):
         points = np.full_like(recording.points, np.nan)
         into, of = (slice(rows, None), slice(None, -rows)) if rows > 0 else (slice(None, rows), slice(-rows, None))
         points[into] = recording.points[of]
-        gain = np.cumsum((given - missed(points, laid))[::-1])[::-1]  # by shifting all visits from each on
+        gain = np.cumsum((given - missed(points))[::-1])[::-1]  # by shifting all visits from each on
         first = int(np.argmax(gain))
         here = np.arange(count) >= first
         told = here & np.isfinite(points).any(axis=(1, 2)) & recording.measured
         if told.sum() < MANY or first < MANY:
             continue
-        before, after = (float(np.sqrt((each[told] ** 2).mean())) for each in (given, missed(points, laid)))
+        before, after = (float(np.sqrt((each[told] ** 2).mean())) for each in (given, missed(points)))
         if before < MEANS_M or after > BETTER * before:
             continue
         names = [f"{name}_{axis}" for name in recording.target_names for axis in "xyz"]
@@ -328,6 +326,12 @@ def _a_row_off(machine: Machine, recording: Recording) -> tuple[Recording, list[
         mended = replace(recording, points=np.where(here[:, None, None], points, recording.points))
         return mended, [Mistake(_from_to(names), None, what, before, after, "moved back")]
     return recording, []
+
+
+def _missed(points: Array, ideal: Array) -> Array:
+    """(N,) mean distance of a visit's readings (N, T, 3) from where the ideal machine has them [m], 0 without any."""
+    off = np.linalg.norm(points - ideal, axis=2)
+    return np.asarray(np.nansum(off, axis=1) / np.maximum(np.isfinite(off).sum(axis=1), 1))
 
 
 def _exchanged(recording: Recording) -> Iterator[tuple[str, Array]]:
