@@ -78,6 +78,12 @@ def diagnose(a: argparse.Namespace) -> None:
     if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"], "noise"):
         warnings.append(doubt)
         warn(a.rec, warnings[-1:])
+    if (off := found.space.reflectors_off) is not None:
+        warnings.append(
+            f"reflectors are some {1e3 * off:.2f} mm (rms, each coordinate) from where the machine file has them, by "
+            "the distances between them: measure them again, or say targets: estimate"
+        )
+        warn(a.rec, warnings[-1:])
     answer = {**found.answer, "warnings": warnings}
     if a.page is not None:
         from ppshw.report.diagnosis import write_diagnosis

@@ -42,8 +42,11 @@ CAUTION = 2.0
 CAUTION_ELASTIC = 20.0
 # Reflectors are measured on the end effector as well as instruments do, a few µm, and sit in their nests again as well
 # as that: with what 450 visits say of them, to 1 µm, an author's that were 4 µm (one coordinate) from where his files
-# have them were said to have moved in eight of 64 recordings, or made a scale of 12 to 25 ppm.
-KNOWN_TO = 5e-6
+# have them were said to have moved in eight of 64 recordings, or made a scale of 12 to 25 ppm. Two or more say by their
+# distances how well they are known, up to what a site's own survey leaves; one that is farther off than the others is
+# no measure of them.
+KNOWN_TO = (5e-6, 10e-6, 20e-6, 40e-6)
+SURELY_OFF = 1e-3  # m, one reflector beside others
 # Machined guides and bearings err slowly along their travel. A joint whose finest waves (four to seven of them over the
 # travel) are so many times the median joint's has something there that is no geometry: it is not to be absorbed. Nor
 # where those before (two to three) stand out more: 5.4 times at most in 16 clean machines, 43 where a gear did.
@@ -116,6 +119,13 @@ class Workspace:
         scatters more than the machine, its noise (what a reflector that moved leaves is put down to the instrument, to
         the last of the repeatability where it is much: nothing had a size then, and nothing was found)."""
         return max(self.base.noise.repeatability, self.base.noise.instrument)
+
+    @property
+    def reflectors_off(self) -> float | None:
+        """How far known reflectors are from where the machine file has them [m], rms of a coordinate, where that is
+        more than surveys leave; they say so themselves (_reflectors_learnt)."""
+        known_to = self.base.groups.get("target", 0.0)
+        return known_to if self.machine.tracker.targets_known and known_to > KNOWN_TO[1] else None
 
     @property
     def rows(self) -> int:
@@ -206,15 +216,44 @@ class Workspace:
 
 
 def _about_reflectors(base: Estimate) -> Estimate:
-    """The base model with reflectors that are known as well as anybody measures them, no better."""
+    """The base model with reflectors that are known as well as they can be, no better."""
     if base.model.target_offset is not None:
         return base
     offset = TargetOffset(tuple(base.model.machine.targets))
     more = offset.parameters(())
-    covariance = block_diag(base.covariance, KNOWN_TO**2 * np.eye(len(more)))
-    groups = {**base.groups, **{p.group: KNOWN_TO for p in more}}
+    covariance = block_diag(base.covariance, KNOWN_TO[0] ** 2 * np.eye(len(more)))
+    groups = {**base.groups, **{p.group: KNOWN_TO[0] for p in more}}
     theta, model = np.append(base.theta, np.zeros(len(more))), replace(base.model, target_offset=offset)
     return replace(base, model=model, theta=theta, covariance=covariance, groups=groups)
+
+
+def _reflectors_learnt(space: Workspace) -> Workspace:
+    """The same with known reflectors as well known as two or more of them say themselves: the largest evidence of what
+    their offsets leave (as log_evidence), all alike or but for one. Equal for those of one: they turn with the tip."""
+    count = 3 * len(space.machine.targets)  # the last parameters
+    active = np.flatnonzero(space.active) - (len(space.active) - count)
+    mine = active >= 0
+    which = active[mine] // 3
+    if len(np.unique(which)) < 2:
+        return space
+    gram = space.white.T @ space.white
+    others = gram[np.ix_(~mine, ~mine)] + np.diag(1.0 / space.prior[~mine] ** 2)
+    across = np.linalg.solve(others, gram[np.ix_(~mine, mine)])
+    along = space.white.T @ space.y
+    information = gram[np.ix_(mine, mine)] - gram[np.ix_(mine, ~mine)] @ across
+    score = along[mine] - across.T @ along[~mine]
+
+    def said(known: Array) -> float:
+        inner = np.diag(1.0 / known**2) + information
+        logdet = np.linalg.slogdet(inner)[1] + 2.0 * np.log(known).sum()
+        return float(0.5 * (score @ np.linalg.solve(inner, score) - logdet))
+
+    odd = [-1, *np.unique(which)] if len(np.unique(which)) > 2 else [-1]
+    known_to = max((said(np.where(which == k, SURELY_OFF, s)), -s, s) for s in KNOWN_TO for k in odd)[2]
+    covariance = space.base.covariance.copy()
+    covariance[-count:, -count:] = known_to**2 * np.eye(count)
+    base = replace(space.base, covariance=covariance, groups={**space.base.groups, "target": known_to})
+    return replace(space, base=base, prior=np.where(mine, known_to, space.prior))
 
 
 def caution_of(model: Model, strengths: Array) -> Array:
@@ -222,7 +261,7 @@ def caution_of(model: Model, strengths: Array) -> Array:
     groups = [p.group for p in model.parameters()]
     elastic = np.array([group.startswith("compliance.") for group in groups])
     out = np.where(elastic, CAUTION_ELASTIC, CAUTION)
-    if model.machine.tracker.targets_known:  # not learnt
+    if model.machine.tracker.targets_known:  # what they say together is all of it
         out[np.array(groups) == "target"] = 1.0
     for band, times in STANDS_OUT.items():
         for kind in "tr":
@@ -249,7 +288,9 @@ def prepare(
 
     sure  visits that are believed in full however far off they are
     """
-    base = _about_reflectors(base or estimate(joint_model(machine, recording.subset(fit)), recording.subset(fit)))
+    base = base or estimate(joint_model(machine, recording.subset(fit)), recording.subset(fit))
+    learn = base.model.target_offset is None
+    base = _about_reflectors(base)
     model, situation = base.model, Situation.of(recording)
     count = len(recording)
     lin = model.linearise(situation, base.theta)
@@ -270,7 +311,8 @@ def prepare(
     root = calming @ root * np.sqrt(weights)[:, None, None]
     context = Context.of(model, base.theta, recording, base.measuring_in_base)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
-    return Workspace(
+    space = Workspace(
         machine, recording, fit, base, context, design, data, root, caution * strengths[active], active, caution,
         calming,
     )
+    return _reflectors_learnt(space) if learn else space
