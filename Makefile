@@ -26,6 +26,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 lint: env
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 types: env
 	$(BIN)/mypy
 layers: env

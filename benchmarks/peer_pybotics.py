@@ -65,9 +65,7 @@ def calibrate(task: Any) -> dict[str, Any]:
     robot = _robot()
     robot.world_frame = np.linalg.inv(task["measuring_in_base"])
     robot.world_frame[:3, 3] *= 1e3
-    handler = OptimizationHandler(
-        robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3, world_mask=True
-    )
+    handler = OptimizationHandler(robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3, world_mask=True)
     x = handler.generate_optimization_vector()
     set_up = time.process_time()
     result = least_squares(

@@ -1,6 +1,6 @@
 """What every peer's script shares: read the task, time it, write the answer. In their environments: numpy only.
 
-    python peer_X.py TASK.npz ANSWER.json
+python peer_X.py TASK.npz ANSWER.json
 """
 
 from __future__ import annotations

@@ -113,9 +113,7 @@ def kinematics(machine: Machine, poses: int, rounds: int, pythons: dict[str, Pat
         if off > 1e-6:
             raise RuntimeError(f"{peer} has another arm: its reflector is off by {off * 1e3:.3g} mm")
     runs = {"forward": lambda: frames(machine, q), "joint_jacobian": joints, "error_jacobian": errors}
-    answers = {
-        "ppshw": {k: [s / poses * 1e6 for s in seconds(run, rounds)] for k, run in runs.items()}, **answers
-    }
+    answers = {"ppshw": {k: [s / poses * 1e6 for s in seconds(run, rounds)] for k, run in runs.items()}, **answers}
     rows = [
         [NAMES[who], *(span(a[k]) if k in a else "–" for k in runs), *(_ratio(a, answers["ppshw"], k) for k in runs)]
         for who, a in answers.items()

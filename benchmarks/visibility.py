@@ -222,7 +222,6 @@ class Counted:
         return f"\n{flow(second)}\n\n{flow(third[:-2] + '.')}"
 
 
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="two cases of 120 visits")

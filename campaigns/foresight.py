@@ -196,9 +196,7 @@ def anything(plan: Plan) -> Recording:
     hours = np.linspace(0.0, max(sum(plan.durations) / 3600.0, 1.0), count)
     everything = np.ones((count, len(machine.targets)), dtype=bool)
     before = np.vstack([q[:1], q[:-1]])
-    return pretended(
-        machine, ["any"] * count, cases, q, approaches(q, before), hours, plan.script.settle_s, everything
-    )
+    return pretended(machine, ["any"] * count, cases, q, approaches(q, before), hours, plan.script.settle_s, everything)
 
 
 def pretended(

@@ -153,9 +153,7 @@ def _expand(step: Step, number: int, script: Script, machine: Machine, home: Arr
         mine = [(q, where) for q, own, where in poses if (own or load) == load and (own or load in step.loads)]
         for _ in range(step.repeat):  # in rounds over the poses: a pose is left before it is visited again
             order = rng.permutation(len(mine)) if step.shuffle else range(len(mine))
-            out += [
-                Visit(0, step.name, load, tuple(mine[k][0].tolist()), targets, None, mine[k][1]) for k in order
-            ]
+            out += [Visit(0, step.name, load, tuple(mine[k][0].tolist()), targets, None, mine[k][1]) for k in order]
     return out
 
 

@@ -311,9 +311,7 @@ def _homing(s: Section, joint: Joint) -> HomingConfig | None:
         return None
     assert joint.limits is not None
     beyond = HOME_BEYOND * (joint.limits.upper - joint.limits.lower)
-    fast, slow = (
-        _speed(section, key, joint.limits.velocity) if key in section else None for key in ("fast", "slow")
-    )
+    fast, slow = (_speed(section, key, joint.limits.velocity) if key in section else None for key in ("fast", "slow"))
     config = HomingConfig(
         method=section.integer("method", low=-128, high=127),
         offset=section.number("offset", 0.0, joint.limits.lower - beyond, joint.limits.upper + beyond),

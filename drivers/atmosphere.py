@@ -24,9 +24,7 @@ _WATER_MOLAR_MASS = 0.018015  # kg/mol
 def group_index(air: Atmosphere, wavelength_um: float, co2_ppm: float = CO2_PPM) -> float:
     """Group refractive index of moist air for a vacuum wavelength of 0.35–1.3 µm."""
     s = wavelength_um**-2
-    dry = 1e-8 * (
-        5792105.0 * (238.0185 + s) / (238.0185 - s) ** 2 + 167917.0 * (57.362 + s) / (57.362 - s) ** 2
-    )
+    dry = 1e-8 * (5792105.0 * (238.0185 + s) / (238.0185 - s) ** 2 + 167917.0 * (57.362 + s) / (57.362 - s) ** 2)
     water = 1.022e-8 * (295.235 + 3 * 2.6422 * s - 5 * 0.032380 * s**2 + 7 * 0.004028 * s**3)
     return _mix(air, dry, water, co2_ppm)
 
@@ -65,7 +63,7 @@ def implausible(air: Atmosphere) -> str | None:
 def _mix(air: Atmosphere, dry: float, water: float, co2_ppm: float) -> float:
     """Refractivities of the two standard gases, weighted by their densities in this air.
 
-        n − 1 = (ρ_a/ρ_axs)(n_axs − 1) + (ρ_w/ρ_ws)(n_ws − 1)                 Ciddor eq. 5
+    n − 1 = (ρ_a/ρ_axs)(n_axs − 1) + (ρ_w/ρ_ws)(n_ws − 1)                 Ciddor eq. 5
     """
     temperature = air.temperature_c + 273.15
     pressure = 100.0 * air.pressure_hpa

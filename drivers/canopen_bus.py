@@ -161,9 +161,7 @@ class CanBus:
     def answered(self, seconds: float) -> None:
         """Wait, for so long at most, until every SYNC was answered: who asks afterwards hears no older answer."""
         with self.arrival:
-            self.clock.wait_for(
-                self.arrival, lambda: not any(self._owed.values()) or self._loss is not None, seconds
-            )
+            self.clock.wait_for(self.arrival, lambda: not any(self._owed.values()) or self._loss is not None, seconds)
             self._owed = dict.fromkeys(self._owed, 0)
 
     def received(self, node_id: int) -> None:

@@ -29,9 +29,7 @@ class Clock(Protocol):
 
     def sleep(self, seconds: float) -> None: ...
 
-    def wait_for(
-        self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float
-    ) -> bool:
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float) -> bool:
         """Wait on a held condition until predicate() or until `timeout` seconds of machine time have passed."""
 
 
@@ -57,9 +55,7 @@ class WallClock:
     def sleep(self, seconds: float) -> None:
         time.sleep(max(0.0, seconds) / self.speed)
 
-    def wait_for(
-        self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float
-    ) -> bool:
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float) -> bool:
         return condition.wait_for(predicate, max(0.0, timeout) / self.speed)
 
 

@@ -263,7 +263,8 @@ class Calibration:
             "bent_by": machine.bent_by,
             "targets": {name: xyz.tolist() for name, xyz in machine.targets.items()},
             "noise": {
-                "pose": self.noise.pose.tolist(), "instrument": self.noise.instrument,
+                "pose": self.noise.pose.tolist(),
+                "instrument": self.noise.instrument,
                 "joints": None if self.noise.joints is None else self.noise.joints.tolist(),
             },
             "terms": terms,

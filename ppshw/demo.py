@@ -140,4 +140,3 @@ def fresh_folder(out: Path, machine_file: Path) -> Iterator[Path]:
 def as_wanted(wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
     """A `SetpointMap` that corrects nothing: wanted, here, and returned (n,) [m, rad]; wrench (6,) [N, N·m]."""
     return wanted
-

@@ -256,9 +256,7 @@ def _joint(section: Section) -> Joint:
         link.done()
     elastic = None
     if (found := section.section("elastic", optional=True)) is not None:
-        elastic = Elastic(
-            tuple(found.texts("loads", choices=WRENCH_COMPONENTS)), found.flag("varies", default=False)
-        )
+        elastic = Elastic(tuple(found.texts("loads", choices=WRENCH_COMPONENTS)), found.flag("varies", default=False))
         found.done()
     section.done()
     return Joint(name, kind == "prismatic", origin, axis / length, limits, mass, com, elastic)

@@ -50,6 +50,7 @@ def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array
         out[:, i, 3:] = np.einsum("nji,nj->ni", chain[:, i, :3, :3], here)
     return out
 
+
 def payload_at(machine: Machine, payload: Array, here: Array, there: Array) -> Array:
     """What the sensor will read at another pose, when the payload only weighs.
 

@@ -51,9 +51,7 @@ class Section:
                 self._fail(node, f"unknown key '{self._path(key)}' (known here: {known}){comma}")
 
     # --- scalars -------------------------------------------------------------------------------------------
-    def number(
-        self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf
-    ) -> Any:
+    def number(self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf) -> Any:
         """A finite number within [low, high]."""
         node = self._take(key, default is not REQUIRED, "a number")
         if node is None:
@@ -233,5 +231,3 @@ def _range(low: float, high: float) -> str:
 
 def _one_line(exc: Exception) -> str:
     return " ".join(str(exc).split())
-
-

@@ -94,6 +94,4 @@ def fit_rigid(points: Array, measured: Array) -> Array:
     flip = np.ones((*sign.shape, 3))
     flip[..., 2] = sign
     rotation = (u * flip[..., None, :]) @ vt
-    return transform(
-        rotation, (centre_m - np.einsum("...ij,...kj->...ki", rotation, centre_p))[..., 0, :]
-    )
+    return transform(rotation, (centre_m - np.einsum("...ij,...kj->...ki", rotation, centre_p))[..., 0, :])

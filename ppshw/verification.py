@@ -69,9 +69,7 @@ def measured_point(recording: Recording, machine: Machine, point: str) -> Array:
     return np.asarray(recording.points[:, recording.target_names.index(point)])
 
 
-def point_errors(
-    recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None
-) -> Array:
+def point_errors(recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None) -> Array:
     """Measured minus wanted at a point of the end effector.
 
     measuring_in_base  (4, 4) where the instrument stands; needed when the machine file says `base: estimate`, then
@@ -89,9 +87,7 @@ def point_errors(
     return np.asarray(measured - ideal)
 
 
-def returns_of(
-    recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None
-) -> Returns:
+def returns_of(recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None) -> Returns:
     """Group visits by wanted pose and load; lost readings and poses visited once do not count.
 
     Deviations are measured − wanted, less the group's mean, so that a compensated recording, whose setpoints follow

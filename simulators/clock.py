@@ -52,9 +52,7 @@ class SteppedClock:
     def sleep(self, seconds: float) -> None:
         self._advance_to(self._now + max(0.0, seconds))
 
-    def wait_for(
-        self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float
-    ) -> bool:
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout: float) -> bool:
         """Real time first (a message may be on its way), then machine time step by step until the timeout."""
         deadline = self._now + max(0.0, timeout)
         if self._wait_in_slices(condition, predicate):

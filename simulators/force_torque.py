@@ -116,9 +116,7 @@ class SimulatedBota(_Sensor):
         self.temperature_c = 31.0
         self._stamp = 0  # µs
         self._hung: bytes | None = None
-        super().__init__(
-            world, clock, seed=seed, force_sigma=force_sigma, moment_sigma=moment_sigma, rate=rate
-        )
+        super().__init__(world, clock, seed=seed, force_sigma=force_sigma, moment_sigma=moment_sigma, rate=rate)
 
     def overrange(self) -> None:
         self._status |= 2
@@ -180,9 +178,7 @@ class SimulatedGsv8(_Sensor):
         self._heard = bytearray()
         self._serial_number = serial_number
         self.refuse: set[int] = set()
-        super().__init__(
-            world, clock, seed=seed, force_sigma=force_sigma, moment_sigma=moment_sigma, rate=rate
-        )
+        super().__init__(world, clock, seed=seed, force_sigma=force_sigma, moment_sigma=moment_sigma, rate=rate)
 
     def overrange(self) -> None:
         self._status |= 1

@@ -137,9 +137,7 @@ class SimulatedHardware:
         )  # fmt: skip
         world = _Standing(self.live, self.joint_values)
         pace = instrument_clock or clock
-        self.tracker = SimulatedTracker(
-            world, pace, seed=seed, position_sigma=self.plant.position_sigma, air=self._air
-        )
+        self.tracker = SimulatedTracker(world, pace, seed=seed, position_sigma=self.plant.position_sigma, air=self._air)
         sensor = {"bota": SimulatedBota, "gsv8": SimulatedGsv8}[force_protocol]
         self.force_sensor: SimulatedBota | SimulatedGsv8 = sensor(world, pace, seed=seed)
         self._write_temperatures()

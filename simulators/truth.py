@@ -53,9 +53,7 @@ class JointShape:
         """(N,) → (N, 6)"""
         u = (q - self.middle) / self.half_travel
         waves = np.sin(2 * np.pi * (q - self.middle)[:, None, None] / self.wavelength + self.phase)
-        return np.asarray(
-            self.constant + u[:, None] * self.slope + np.sum(self.amplitude * waves, axis=2), dtype=float
-        )
+        return np.asarray(self.constant + u[:, None] * self.slope + np.sum(self.amplitude * waves, axis=2), dtype=float)
 
     def scaled(self, factor: float) -> JointShape:
         return replace(
@@ -257,9 +255,7 @@ def _root(function: Callable[[float], float], upper: float) -> float:
     return float(brentq(function, 0.0, upper, xtol=1e-9 * upper, rtol=1e-10))
 
 
-def _scatter(
-    poses: Array, point: Array, span: float, repeatability: float, rng: np.random.Generator
-) -> Array:
+def _scatter(poses: Array, point: Array, span: float, repeatability: float, rng: np.random.Generator) -> Array:
     """(n, 6) standard deviations: all joints alike, an angle worth as much as a shift at half of the span.
 
     Scaled so that the 98.6 % quantile of the radial deviation at the treatment point, over random configurations, is
@@ -267,9 +263,6 @@ def _scatter(
     """
     sigma = np.broadcast_to(np.repeat([1.0, 2.0 / span], 3), (poses.shape[1], 6))
     many = np.concatenate(
-        [
-            _moves_point(poses, point, sigma * rng.normal(size=(*poses.shape[:2], 6))).sum(axis=1)
-            for _ in range(20)
-        ]
+        [_moves_point(poses, point, sigma * rng.normal(size=(*poses.shape[:2], 6))).sum(axis=1) for _ in range(20)]
     )
     return sigma * (repeatability / _size(many))

@@ -145,8 +145,6 @@ def _design(design: Design, plan: Plan, numbers: dict[str, Any], lines: list[str
         f"({1e3 * design.floor:.3f} mm of noise alone), as believed of {design.request.belief.origin}"
     )
     over = 100 * (design.travel_s / design.bound_s - 1) if design.bound_s else 0.0
-    lines.append(
-        f"travel {design.travel_s:.0f} s, {over:.1f} % above the lower bound of {design.bound_s:.0f} s"
-    )
+    lines.append(f"travel {design.travel_s:.0f} s, {over:.1f} % above the lower bound of {design.bound_s:.0f} s")
     if "now" in numbers and (gain := 1 - both / design.before[1]) < HARDLY:
         lines.append(f"these visits lower it by {100 * gain:.1f} %: measuring on is hardly worth its time")

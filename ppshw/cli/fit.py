@@ -154,8 +154,10 @@ def evaluate(a: argparse.Namespace) -> None:
         more = f" and {len(said) - SAID} more" if len(said) > SAID else ""
         lines.append(f"outside what was identified, carried on there: {', '.join(said[:SAID])}{more}")
     for b in answer.get("beyond", ()):
-        lines.append(f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
-                     f"{b['high_C']:.1f} °C at which effects were measured; carried on there")
+        lines.append(
+            f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
+            f"{b['high_C']:.1f} °C at which effects were measured; carried on there"
+        )
     if held := answer.get("held_in_time"):
         lines.append(f"{held['visits']} visits so long before or after the calibration's own that nobody knows how far "
                      f"{' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
@@ -164,6 +166,8 @@ def evaluate(a: argparse.Namespace) -> None:
                      "calibration's own")  # fmt: skip
     for u in answer.get("unexplained", ()):
         over = columns_listed([column_of(name) for name in u["covariates"]])
-        lines.append(f"corrected without a name over {over}, by which unsure to "
-                     f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data")
+        lines.append(
+            f"corrected without a name over {over}, by which unsure to "
+            f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data"
+        )
     say(a, answer, folded(lines))

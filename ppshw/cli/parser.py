@@ -57,8 +57,12 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--seed", type=seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--machine", default="pps", metavar="M", help="machine file (default: pps, the positioner)")
     p.add_argument("--method", choices=("joint", "paper"), default="joint", help="identification (default: joint)")
-    p.add_argument("--conceal", type=seed, metavar="SEED",
-                   help="instead: the machine hides an effect that this seed picks, to be found, named and taken out")
+    p.add_argument(
+        "--conceal",
+        type=seed,
+        metavar="SEED",
+        help="instead: the machine hides an effect that this seed picks, to be found, named and taken out",
+    )
 
     p = add("simulate", simulate, "simulated hardware as a process of its own, on endpoints that open like real ones")
     machine(p)

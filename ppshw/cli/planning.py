@@ -128,9 +128,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
     out = new_file(a.out, machine.file, *(x for x in (a.after, a.campaign, a.loads) if x))
     so_far: Any = (
-        plan_campaign(load_script(a.campaign), machine)
-        if a.after is None
-        else load_recording(a.after, machine)
+        plan_campaign(load_script(a.campaign), machine) if a.after is None else load_recording(a.after, machine)
     )
     seed = _SEED if a.seed is None else a.seed
     loads = None if a.loads is None else load_script(a.loads).loads

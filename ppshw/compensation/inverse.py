@@ -171,9 +171,7 @@ def nominal_joints(machine: Machine, wanted_tip: Array, near: Array | None = Non
     if not inside.any():
         k, over = _worst_limit(machine, q[reached])
         joint = machine.joints[k]
-        raise CompensationRefused(
-            f"the pose needs joint '{joint.name}' {rounded(over)} {joint.unit} beyond its limits"
-        )
+        raise CompensationRefused(f"the pose needs joint '{joint.name}' {rounded(over)} {joint.unit} beyond its limits")
     candidates = q[inside]
     return np.asarray(candidates[np.argmin(np.linalg.norm(candidates - centre, axis=1))])
 

@@ -226,8 +226,14 @@ def _without(space: Workspace, tried: Tried, found: Sequence[Found]) -> Recordin
 
 
 def _answer(
-    space: Workspace, free: Workspace, tried: Tried, found: list[Found], gross: GrossErrors, scatter: Scatter | None,
-    unnamed: bool, wrong: list[dict[str, Any]],
+    space: Workspace,
+    free: Workspace,
+    tried: Tried,
+    found: list[Found],
+    gross: GrossErrors,
+    scatter: Scatter | None,
+    unnamed: bool,
+    wrong: list[dict[str, Any]],
 ) -> tuple[dict[str, Any], Carried]:
     """free: as what was found is to be described; unnamed: whether scatter has no name; wrong: findings of columns and
     visits that are."""

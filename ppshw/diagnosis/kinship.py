@@ -32,7 +32,10 @@ READ = frozenset({"sensor_error", "weighed"})  # functions of what the force sen
 
 
 def of_its_kind(
-    named: Candidate, rival: Candidate, parallel: Collection[str] = (), inside: tuple[str, ...] = (),
+    named: Candidate,
+    rival: Candidate,
+    parallel: Collection[str] = (),
+    inside: tuple[str, ...] = (),
     both_of_a_load: bool = False,
 ) -> bool:
     """Whether a rival without a name would bear the name's, by what the name means (contract, §4).

@@ -242,9 +242,7 @@ def _standardised(names: tuple[Channel, ...], rows: tuple[Covariate, ...], by_ow
     on_frames = [j for j, ch in enumerate(names) if ch.index >= 0]
     apart = [j for j, ch in enumerate(names) if ch.index < 0]
     of_kind = [[j for j, k in enumerate(rows) if k.kind == kind] for kind in kinds]
-    highest, shown = (
-        np.stack([_highest(z[:, j][:, :, on_frames]) for j in of_kind], axis=1) for z in (pooled, own)
-    )
+    highest, shown = (np.stack([_highest(z[:, j][:, :, on_frames]) for j in of_kind], axis=1) for z in (pooled, own))
     sides = (_highest(pooled[:, :, apart]), _highest(own[:, :, apart])) if apart else None
     most = _highest(pooled)
     p = float((most >= most[0]).mean())

@@ -312,7 +312,17 @@ def prepare(
     context = Context.of(model, base.theta, recording, base.measuring_in_base)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     space = Workspace(
-        machine, recording, fit, base, context, design, data, root, caution * strengths[active], active, caution,
+        machine,
+        recording,
+        fit,
+        base,
+        context,
+        design,
+        data,
+        root,
+        caution * strengths[active],
+        active,
+        caution,
         calming,
     )
     return _reflectors_learnt(space) if learn else space

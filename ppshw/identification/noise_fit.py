@@ -190,9 +190,7 @@ def fit_variances(
 def _at_the_tip(moments: Moments, start: Noise, rank: int) -> Noise:
     """The end effector scatters alike in all directions: one variance for shifts, one for turns, and the instrument."""
     groups = np.array([0, 0, 0, 1, 1, 1]) if rank == 6 else np.array([0, 0, 0, -1, -1, -1])
-    return fit_variances(
-        moments, start, slice(0, 6), groups, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6
-    )
+    return fit_variances(moments, start, slice(0, 6), groups, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
 
 
 def _of_joints(moments: Moments, start: Noise, rank: int, groups: Index) -> Noise:

@@ -188,8 +188,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         same = "the columns Fx … Mz read the same at every visit"
         silent = same if recording.has_wrench else "nothing in columns Fx … Mz"
         said.append(
-            f"{silent}, though loads change ({loads}): what they do to "
-            "the machine cannot be told from its errors"
+            f"{silent}, though loads change ({loads}): what they do to the machine cannot be told from its errors"
         )
     return said
 

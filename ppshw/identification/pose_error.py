@@ -65,9 +65,7 @@ def pose_errors(machine: Machine, recording: Recording) -> PoseErrors:
         real = fit_rigid(np.broadcast_to(targets, (len(rows), *targets.shape)), measured[rows][:, pattern])
         step = inverse(tips[rows]) @ real
         errors[rows, :3], errors[rows, 3:] = step[:, :3, 3], rotation_vector(step[:, :3, :3])
-        left = measured[rows][:, pattern] - (
-            np.einsum("nij,tj->nti", real[:, :3, :3], targets) + real[:, None, :3, 3]
-        )
+        left = measured[rows][:, pattern] - (np.einsum("nij,tj->nti", real[:, :3, :3], targets) + real[:, None, :3, 3])
         square, freedom = square + float((left**2).sum()), freedom + len(rows) * (targets.size - 6)
         levers = np.concatenate([np.broadcast_to(np.eye(3), (len(targets), 3, 3)), -skew(targets)], axis=2)
         levers = levers.reshape(-1, 6)

@@ -31,9 +31,7 @@ class Evidence:
     plausible: Array
 
 
-def independent_columns(
-    designs: Sequence[Array], evidence: Evidence | None, first: Sequence[int] = ()
-) -> list[int]:
+def independent_columns(designs: Sequence[Array], evidence: Evidence | None, first: Sequence[int] = ()) -> list[int]:
     """Columns to keep, in the order of a pivoted orthogonalisation; one choice for all places.
 
     Without evidence the pivot is the column of which the largest share is left: QR with column pivoting on columns of

@@ -58,5 +58,3 @@ def to_base(points: Array, measuring_in_base: Array) -> Array:
 def fold(measuring_in_base: Array, base_error: Array) -> Array:
     """Take a small displacement E_0 (4, 4) of the whole machine into the measuring frame instead."""
     return np.asarray(inverse(base_error) @ measuring_in_base)
-
-

@@ -43,9 +43,7 @@ def joint_model(machine: Machine, recording: Recording, waves: int = MOST_WAVES)
     for k, joint in enumerate(machine.joints):
         if joint.elastic is not None:
             basis = compliance_basis(joint, recording.q[:, k])
-            terms.append(
-                Compliance(k + 1, pattern(joint.elastic), tuple(joint.elastic.load_indices), basis)
-            )
+            terms.append(Compliance(k + 1, pattern(joint.elastic), tuple(joint.elastic.load_indices), basis))
     target = None if machine.tracker.targets_known else TargetOffset(tuple(machine.targets))
     return Model(machine, tuple(terms), target)
 

@@ -173,9 +173,7 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     case, answers, sealed = (out / part / spec.name for part in ("cases", "answers", "sealed"))
     made = _run(spec.command(case, sealed))
     if made.returncode != 0:
-        raise BadInput(
-            f"{made.stderr.strip() or f'the generator ended with {made.returncode}'}"
-        )
+        raise BadInput(f"{made.stderr.strip() or f'the generator ended with {made.returncode}'}")
     seal = made.stdout.strip()
     with (out / SEALS).open("a", encoding="utf-8") as file:  # one short line: appended whole
         file.write(f"{spec.name} {seal} {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n")

@@ -63,8 +63,7 @@ def markdown(document: Json) -> str:
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", "## Names by their weight", "", "| weight of a name | mean | right |", "|---|---|---|"]
     lines += [
-        f"| {r['from']:g} to {r['to']:g} | {r['mean']:.2f} | {percent(r['right'])} |"
-        for r in document["weights"]
+        f"| {r['from']:g} to {r['to']:g} | {r['mean']:.2f} | {percent(r['right'])} |" for r in document["weights"]
     ]
     if document["removed"]:
         lines += ["", "## Names taken out of the library", ""]
@@ -116,11 +115,7 @@ def power_picture(document: Json, scores: Sequence[Json]) -> Picture:
         )
         c.axes.legend(loc="center right")
         half = document["half_power"]
-        alt = (
-            f"{len(strength)} cases; half of them detected at √λ = {half:.1f}"
-            if half
-            else f"{len(strength)} cases"
-        )
+        alt = f"{len(strength)} cases; half of them detected at √λ = {half:.1f}" if half else f"{len(strength)} cases"
         return c.picture("Detected against what could be detected", alt, "Blue: shares with 90 % intervals.")
 
 

@@ -221,9 +221,7 @@ def bound(machine: Machine, recording: Recording, base: Estimate, field: Array, 
     length = np.linalg.norm(white.design, axis=0)
     unit = white.design / np.where(length > 0, length, 1.0)
     rest = white.field - unit @ np.linalg.lstsq(unit, white.field, rcond=1e-9)[0]
-    freedom = max(
-        1.0, white.field.size - float(np.trace(np.linalg.solve(scaled, scaled - np.eye(len(scaled)))))
-    )
+    freedom = max(1.0, white.field.size - float(np.trace(np.linalg.solve(scaled, scaled - np.eye(len(scaled))))))
     strength = max(0.0, left)
     critical = f_distribution.isf(0.05 / CLASSES, 1, freedom)
     return {
@@ -355,7 +353,5 @@ def read_answer(path: Path) -> Json:
     except (OSError, ValueError, TypeError) as problem:
         raise BadInput(f"{path}: no answer of a diagnosis ({problem})") from None
     if missing:
-        raise BadInput(
-            f"{path}: no {' and no '.join(sorted(missing))} in the answer, expected the contract's keys"
-        )
+        raise BadInput(f"{path}: no {' and no '.join(sorted(missing))} in the answer, expected the contract's keys")
     return answer

@@ -28,10 +28,17 @@ def summarise(scores: Sequence[Json]) -> Json:
     scores = [s for s in scores if s not in removed]
     return {
         "bars": [*_bars(scores), _removed_bar(removed)],
-        "removed": [{"effect": s["spec"]["without"], "form": s["truth"][0]["form"], "names": s["wrong"],
-                     "unexplained": s["answer"].get("unexplained") is not None,
-                     "sqrt_lambda": s["truth"][0].get("sqrt_lambda"),
-                     "sqrt_lambda_left": s.get("sqrt_lambda_left")} for s in removed],
+        "removed": [
+            {
+                "effect": s["spec"]["without"],
+                "form": s["truth"][0]["form"],
+                "names": s["wrong"],
+                "unexplained": s["answer"].get("unexplained") is not None,
+                "sqrt_lambda": s["truth"][0].get("sqrt_lambda"),
+                "sqrt_lambda_left": s.get("sqrt_lambda_left"),
+            }
+            for s in removed
+        ],
         "effects": _by_effect(scores),
         "strengths": _by_strength(scores),
         "half_power": half_power(*points(scores)),
@@ -62,9 +69,7 @@ def share(hits: Iterable[bool]) -> Json:
 def single(scores: Sequence[Json], size: float | None = None) -> list[Json]:
     """Cases with one effect that has a name, of this size."""
     return [
-        s
-        for s in scores
-        if len(s["truth"]) == 1 and s["truth"][0]["known"] and (size is None or s["size"] == size)
+        s for s in scores if len(s["truth"]) == 1 and s["truth"][0]["known"] and (size is None or s["size"] == size)
     ]
 
 
@@ -135,17 +140,11 @@ def _with_what_is_left(bar: Json, amiss: Sequence[Json]) -> Json:
 
 
 def _number_bars(scores: Sequence[Json]) -> list[Json]:
-    realised = [
-        s["held_out"]["realised"] for s in scores if s["held_out"] and s["held_out"]["realised"] is not None
-    ]
+    realised = [s["held_out"]["realised"] for s in scores if s["held_out"] and s["held_out"]["realised"] is not None]
     longest = max((s["seconds"] for s in scores), default=None)
     gain, out = _median(realised), []
     met = "open" if gain is None else "yes" if gain >= 0.85 else "no"
-    text = (
-        "no case"
-        if gain is None
-        else f"{100 * gain:.0f} % of {len(realised)} cases, median (wanted at least 85 %)"
-    )
+    text = "no case" if gain is None else f"{100 * gain:.0f} % of {len(realised)} cases, median (wanted at least 85 %)"
     out.append(
         {
             "what": "held-out improvement realised",
@@ -157,9 +156,7 @@ def _number_bars(scores: Sequence[Json]) -> list[Json]:
     )
     met = "open" if longest is None else "yes" if longest <= 60 else "no"
     text = "no case" if longest is None else f"{longest:.0f} s (wanted at most 60 s)"
-    out.append(
-        {"what": "longest diagnosis", "wanted": "at most 60 s", "met": met, "share": longest, "text": text}
-    )
+    out.append({"what": "longest diagnosis", "wanted": "at most 60 s", "met": met, "share": longest, "text": text})
     return out
 
 
@@ -190,9 +187,7 @@ def _bar(what: str, way: str, wanted: float, hits: Sequence[bool], bound: float 
 def percent(found: Json) -> str:
     if not found["of"]:
         return "–"
-    return (
-        f"{100 * found['share']:.0f} % of {found['of']}, {100 * found['low']:.0f}–{100 * found['high']:.0f} %"
-    )
+    return f"{100 * found['share']:.0f} % of {found['of']}, {100 * found['low']:.0f}–{100 * found['high']:.0f} %"
 
 
 def _by_effect(scores: Sequence[Json]) -> list[Json]:
@@ -200,14 +195,10 @@ def _by_effect(scores: Sequence[Json]) -> list[Json]:
     rows = []
     keys = sorted({(s["truth"][0]["effect"], s["size"]) for s in scores if len(s["truth"]) == 1})
     for effect, size in keys:
-        mine = [
-            s for s in scores if len(s["truth"]) == 1 and (s["truth"][0]["effect"], s["size"]) == (effect, size)
-        ]
+        mine = [s for s in scores if len(s["truth"]) == 1 and (s["truth"][0]["effect"], s["size"]) == (effect, size)]
         strengths = [s["truth"][0]["sqrt_lambda"] for s in mine if s["truth"][0]["sqrt_lambda"] is not None]
         powers = [s["truth"][0]["power"] for s in mine if s["truth"][0]["power"] is not None]
-        realised = [
-            s["held_out"]["realised"] for s in mine if s["held_out"] and s["held_out"]["realised"] is not None
-        ]
+        realised = [s["held_out"]["realised"] for s in mine if s["held_out"] and s["held_out"]["realised"] is not None]
         rows.append({
             "effect": effect, "size": size, "known": mine[0]["truth"][0]["known"],
             "detected": share(s["detected"] for s in mine),

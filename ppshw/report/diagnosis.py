@@ -217,9 +217,7 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
     rows += [("nearly like it", ", ".join(far))] if far else []
     if apart := to_separate(said):
         rows.append(("visits to tell them apart", f"ppshw plan --after … {plan_options(*apart)}"))
-    seen = [
-        r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]
-    ]
+    seen = [r for r in diagnosis.answer["visibility"] if r["effect"] == said["effect"] and r["joint"] == said["joint"]]
     for r in seen[:1]:
         size = r["detectable_mm"]
         found = f"found from {size:.3f} mm rms on" if size < 1e3 * NEVER else "not found at any size"

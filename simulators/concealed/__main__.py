@@ -17,16 +17,12 @@ def main() -> int:
     )
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--machine", choices=MACHINES, default="pps")
-    parser.add_argument(
-        "--effect", default="null", help="null, pair, unknown, an effect's name, or several as a+b"
-    )
+    parser.add_argument("--effect", default="null", help="null, pair, unknown, an effect's name, or several as a+b")
     parser.add_argument(
         "--size", type=float, default=1.0, help="rms at the reflectors, in units of the repeatability's"
     )
     parser.add_argument("--visits", type=int, default=600)
-    parser.add_argument(
-        "--fit", type=int, default=None, help="visits in the recording (default: three quarters)"
-    )
+    parser.add_argument("--fit", type=int, default=None, help="visits in the recording (default: three quarters)")
     parser.add_argument(
         "--remembers", type=float, default=0.0, metavar="R",
         help="correlation of a visit's scatter with that of the one before (default: 0)",

@@ -254,9 +254,7 @@ def _loaded(scene: Scene, rng: np.random.Generator, crossing: bool) -> tuple[int
     """
     found = []
     for k, joint in enumerate(scene.chain.joints):
-        greatest = np.repeat(
-            [np.abs(scene.carried[:, k, part]).max() for part in (slice(0, 3), slice(3, 6))], 3
-        )
+        greatest = np.repeat([np.abs(scene.carried[:, k, part]).max() for part in (slice(0, 3), slice(3, 6))], 3)
         for part in range(3, 6):
             load = scene.carried[:, k, part]
             both = min(float((load > 0).mean()), float((load < 0).mean()))
@@ -264,7 +262,5 @@ def _loaded(scene: Scene, rng: np.random.Generator, crossing: bool) -> tuple[int
             if joint.acts[part] and varied and (both > 1 / 6 or not crossing):
                 found.append((k, part))
     if not found:
-        raise ValueError(
-            f"{scene.chain.name}: no moment {'changes sign' if crossing else 'varies with the load'}"
-        )
+        raise ValueError(f"{scene.chain.name}: no moment {'changes sign' if crossing else 'varies with the load'}")
     return found[int(rng.integers(len(found)))]

@@ -42,9 +42,7 @@ def backlash(scene: Scene, rng: np.random.Generator) -> Concealed:
         for v, step in enumerate(steps):
             if form == "soft walls":  # approaches the wall exponentially with the way driven
                 wall = float(np.sign(step)) * half[v]
-                behind = (
-                    wall + (behind - wall) * float(np.exp(-abs(step) / (softness * gap))) if step else behind
-                )
+                behind = wall + (behind - wall) * float(np.exp(-abs(step) / (softness * gap))) if step else behind
             else:
                 behind = float(np.clip(behind + step, -half[v], half[v]))
             out[v] = behind
@@ -120,9 +118,7 @@ def periodic_transmission(scene: Scene, rng: np.random.Generator) -> Concealed:
     def wave(s: Scene) -> Array:
         turn = s.q[:, k] / period
         if form == "two harmonics":
-            return np.asarray(
-                np.sin(2 * np.pi * (turn + phase[0])) + second * np.sin(4 * np.pi * (turn + phase[1]))
-            )
+            return np.asarray(np.sin(2 * np.pi * (turn + phase[0])) + second * np.sin(4 * np.pi * (turn + phase[1])))
         place = np.mod(turn + phase[0], 1.0)
         return np.asarray(np.where(place < steep, 2 * place / steep - 1, 1 - 2 * (place - steep) / (1 - steep)))
 

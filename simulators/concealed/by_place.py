@@ -161,9 +161,7 @@ def unsettled(scene: Scene, rng: np.random.Generator) -> Concealed:
         "under load": (campaign.mass / campaign.mass.max()) ** rng.uniform(1.0, 2.0),
     }
     twist = np.eye(6)[int(rng.integers(3, 6))] + 0.1 * np.concatenate([rng.normal(size=3), np.zeros(3)])
-    shake = (
-        sizes[form] * np.sqrt(2) * np.sin(rng.uniform(0, 2 * np.pi, len(scene)))
-    )  # caught at any moment of a swing
+    shake = sizes[form] * np.sqrt(2) * np.sin(rng.uniform(0, 2 * np.pi, len(scene)))  # caught at any moment of a swing
     covariate = {
         "dying out": "settle_s",
         "after long moves": f"q_{scene.chain.joints[k].name}",

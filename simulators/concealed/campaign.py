@@ -146,9 +146,7 @@ def _temperatures(time: Array, driven: Array, rng: np.random.Generator) -> dict[
     middle = rng.uniform(20.0, 22.5)
 
     def air(t: Array) -> Array:
-        wave = day * np.sin(2 * np.pi * t / day_s + phase[0]) + cycle * np.sin(
-            2 * np.pi * t / cycle_s + phase[1]
-        )
+        wave = day * np.sin(2 * np.pi * t / day_s + phase[0]) + cycle * np.sin(2 * np.pi * t / cycle_s + phase[1])
         return np.asarray(middle + wave)
 
     warmth, warmed, last = 0.0, np.zeros(len(time)), 0.0

@@ -93,9 +93,7 @@ def make_case(
 
 def _draw_effect(scene: Scene, name: str, seed: int, wanted: float) -> Sized:
     """Of its own stream, so that another effect on the same machine and campaign is not drawn for the same joint."""
-    return dimension(
-        scene, {**KNOWN, **UNKNOWN}[name](scene, np.random.default_rng([seed, *name.encode()])), wanted
-    )
+    return dimension(scene, {**KNOWN, **UNKNOWN}[name](scene, np.random.default_rng([seed, *name.encode()])), wanted)
 
 
 def dimension(scene: Scene, concealed: Concealed, wanted: float) -> Sized:
@@ -118,9 +116,7 @@ def dimension(scene: Scene, concealed: Concealed, wanted: float) -> Sized:
     raise ValueError(f"{concealed.effect}, {concealed.form}: {where}, not {wanted:.2e} m")
 
 
-def _write_recordings(
-    scene: Scene, changes: Sequence[Change], out: Path, fit: int, rng: np.random.Generator
-) -> None:
+def _write_recordings(scene: Scene, changes: Sequence[Change], out: Path, fit: int, rng: np.random.Generator) -> None:
     c, plant = scene.campaign, scene.plant
     points = scene.points(changes) + plant.position_sigma * rng.normal(size=(len(c), len(scene.targets), 3))
     wrench = scene.sensed(changes) + FORCE_SIGMA * rng.normal(size=(len(c), 6))
@@ -143,9 +139,7 @@ def _write_recordings(
 def _row(
     scene: Scene, c: Campaign, v: int, points: Array, wrench: Array, warm: dict[str, Array], began: datetime
 ) -> list[str]:
-    when = (
-        (began + timedelta(seconds=float(c.time[v]))).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    )
+    when = (began + timedelta(seconds=float(c.time[v]))).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     return [
         when, c.step[v], c.load[v],
         *(f"{x:.8f}" for x in c.commanded[v]), *(f"{x:.8f}" for x in scene.q[v]), *(str(x) for x in c.approach[v]),

@@ -23,8 +23,13 @@ KNOWN: dict[str, Draw] = {
 UNKNOWN: dict[str, Draw] = {
     f.__name__: f
     for f in (
-        unknown.counterbalance_memory, unknown.warm_load, unknown.air_conditioning, unknown.resonance,
-        unknown.swelling, unknown.seat, unknown.twisted_rails,
+        unknown.counterbalance_memory,
+        unknown.warm_load,
+        unknown.air_conditioning,
+        unknown.resonance,
+        unknown.swelling,
+        unknown.seat,
+        unknown.twisted_rails,
     )
 }
 # Pairs leave out what is noise: a scatter beside a bias is another question.
@@ -42,7 +47,5 @@ def chosen(asked: str, rng: np.random.Generator) -> tuple[str, ...]:
     names = tuple(asked.split("+"))
     for name in names:
         if name not in KNOWN and name not in UNKNOWN:
-            raise ValueError(
-                f"no effect {name!r}; there are null, pair, unknown, {', '.join((*KNOWN, *UNKNOWN))}"
-            )
+            raise ValueError(f"no effect {name!r}; there are null, pair, unknown, {', '.join((*KNOWN, *UNKNOWN))}")
     return names

@@ -106,12 +106,7 @@ class CarriedEffect:
         for leaving, (_, passed) in zip(ways[1:], ways[:-1], strict=True):  # the last one is where it is now
             self._rows.append(self._row(leaving[0], passed, self._rows[-1].load if self._rows else load))
         last = self._rows[-1] if self._rows else None
-        if (
-            last is None
-            or np.abs(q - last.q).max() > STANDSTILL
-            or load is not last.load
-            or now - last.time > ANEW_S
-        ):
+        if last is None or np.abs(q - last.q).max() > STANDSTILL or load is not last.load or now - last.time > ANEW_S:
             self._rows.append(self._row(now, q, load))
 
     def _row(self, now: float, q: Array, load: Load | None) -> _Row:
@@ -155,9 +150,7 @@ class CarriedEffect:
             np.array([getattr(row, name) for row in rows]) for name in ("poses", "wrench", "carried", "payload")
         )
         targets = np.array(list(self._plant.targets.values()))
-        return Scene(
-            self._plant, campaign, q, poses, wrench, carried, payload, np.zeros_like(carried), (), targets
-        )
+        return Scene(self._plant, campaign, q, poses, wrench, carried, payload, np.zeros_like(carried), (), targets)
 
 
 def conceal(

@@ -169,9 +169,7 @@ class Scene:
         for c in changes:
             if c.base is not None:
                 tips = displacement(c.base) @ tips
-        on_tip = self.targets + sum(
-            (c.on_tip for c in changes if c.on_tip is not None), np.zeros((len(self), 1, 3))
-        )
+        on_tip = self.targets + sum((c.on_tip for c in changes if c.on_tip is not None), np.zeros((len(self), 1, 3)))
         seen = np.einsum("nij,ntj->nti", tips[:, :3, :3], on_tip) + tips[:, None, :3, 3]
         for c in changes:
             if c.stretch is not None:
@@ -197,10 +195,7 @@ class Scene:
             return moved
         promised = self.plant.true_tip(self.q, self.sensed([change]), None)
         real = self.plant.true_tip(self.q, self.wrench, None)
-        gap = (
-            np.einsum("nij,tj->nti", (real - promised)[:, :3, :3], self.targets)
-            + (real - promised)[:, None, :3, 3]
-        )
+        gap = np.einsum("nij,tj->nti", (real - promised)[:, :3, :3], self.targets) + (real - promised)[:, None, :3, 3]
         to_measuring = np.linalg.inv(self.plant.measuring_in_base)
         return np.asarray(moved + gap @ to_measuring[:3, :3].T)
 

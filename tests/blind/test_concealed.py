@@ -34,9 +34,7 @@ VISITS = 360
 
 
 # --- what a case consists of ---------------------------------------------------------------------------------------
-def make(
-    folder: Path, effect: str, seed: int = 5, size: float = 1.0, machine: str = "pps", visits: int = 200
-) -> Path:
+def make(folder: Path, effect: str, seed: int = 5, size: float = 1.0, machine: str = "pps", visits: int = 200) -> Path:
     make_case(seed, machine, effect, size, folder / "case", folder / "sealed", visits, visits * 3 // 4)
     return folder / "case"
 
@@ -156,9 +154,7 @@ def test_a_correlation_that_no_noise_has_is_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def drawn(
-    effect: str, form: str, joints: tuple[str | None, ...] = ()
-) -> tuple[Concealed, np.ndarray[Any, Any], int]:
+def drawn(effect: str, form: str, joints: tuple[str | None, ...] = ()) -> tuple[Concealed, np.ndarray[Any, Any], int]:
     """The effect in this form, its eps (N, 6) on its link and the link's number; sized to 1e-4 m at the reflectors."""
     for seed in range(300):
         found = {**KNOWN, **UNKNOWN}[effect](scene(), np.random.default_rng(seed))
@@ -316,9 +312,7 @@ def test_a_spring_that_the_file_leaves_out_gives_way_in_proportion_to_the_load(t
     strong = np.abs(s.carried[:, 3, 3]) > 10
     ratio = eps[strong, 3, 3] / s.carried[strong, 3, 3]
     assert ratio.std() < 1e-6 * np.abs(ratio).mean()
-    lines = [
-        make(tmp_path / str(k), "missing_compliance", k).joinpath("machine.yaml").read_text() for k in range(6)
-    ]
+    lines = [make(tmp_path / str(k), "missing_compliance", k).joinpath("machine.yaml").read_text() for k in range(6)]
     assert {text.count("elastic") for text in lines} == {5, 6}
 
 
@@ -370,9 +364,7 @@ def says_nothing(case: Path, answers: Path) -> dict[str, Any]:
 def oracle(case: Path, answers: Path) -> dict[str, Any]:
     """Peeks: no diagnosis may, but the scoring must give full marks to one that does."""
     truth = json.loads((case.parents[1] / "sealed" / case.name / "truth.json").read_text())
-    findings = [
-        {"effect": e["effect"], "joint": e["joint"], "weight": 0.99} for e in truth["effects"] if e["known"]
-    ]
+    findings = [{"effect": e["effect"], "joint": e["joint"], "weight": 0.99} for e in truth["effects"] if e["known"]]
     strange = [e for e in truth["effects"] if not e["known"]]
     unexplained = {"covariates": strange[0]["covariates"][:2]} if strange else None
     verdict = "unexplained" if strange else "missing_physics" if findings else "consistent"

@@ -44,9 +44,7 @@ def test_nothing_missing_is_said_to_be_nothing(tmp_path: Path) -> None:
     assert max(shares) <= 1.0
 
 
-def test_lost_motion_is_named_and_unseen_visits_get_better(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lost_motion_is_named_and_unseen_visits_get_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case, answer, truth = _diagnosed(tmp_path, "backlash")
     assert answer["verdict"] == "missing_physics"
     first = answer["findings"][0]

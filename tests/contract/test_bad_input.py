@@ -302,7 +302,9 @@ def test_identify_warns_of_forces_that_lift_their_payload_and_goes_on(desk: Path
 def test_identify_names_the_moments_whose_sign_is_wrong(desk: Path, columns: str) -> None:
     names = columns.split()
     times(-1.0, *names)(desk / "good.csv")
-    said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json", "--json")
+    said = ppshw(
+        "identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json", "--json"
+    )
     assert said.code == 0
     assert json.loads(said.out)["warnings"] == [f"the columns {names[0]} … {names[-1]} have the opposite sign; taken as "
                                                 "they stand: set them right"]  # fmt: skip
@@ -326,7 +328,9 @@ def test_evaluate_and_twin_warn_of_moments_of_the_other_sign_than_the_calibratio
 def test_a_recording_of_another_point_alone_is_none_to_judge_a_calibration_by(desk: Path, command: str) -> None:
     header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
     readings = [k for k, name in enumerate(header) if name[:2] in ("P1", "P2", "P3")]
-    moved = [["" if k in readings else cell for k, cell in enumerate(row)] + [row[k] for k in readings[:3]] for row in rows]
+    moved = [
+        ["" if k in readings else cell for k, cell in enumerate(row)] + [row[k] for k in readings[:3]] for row in rows
+    ]
     rows = [[*header, "treatment_x", "treatment_y", "treatment_z"], *moved]
     (desk / "point.csv").write_text("\n".join(map(",".join, rows)) + "\n", encoding="utf-8")
     out = ["--out", desk / "twin.csv"] if command == "twin" else []
@@ -409,7 +413,22 @@ def test_a_recording_without_a_column_that_an_effect_goes_by_is_refused(
 
 def test_a_calibration_from_loads_that_nobody_measured_says_so_where_it_moves_axes(desk: Path) -> None:
     machine = ["--machine", desk / "machine.yaml"]
-    ask = ["compensate", *machine, "--joints", "0", "0", "--wrench", "0", "0", "0", "0", "0", "0", "--json", "--calibration"]
+    ask = [
+        "compensate",
+        *machine,
+        "--joints",
+        "0",
+        "0",
+        "--wrench",
+        "0",
+        "0",
+        "0",
+        "0",
+        "0",
+        "0",
+        "--json",
+        "--calibration",
+    ]
     header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
     for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
         column(name, None)(desk / "good.csv")
@@ -428,7 +447,9 @@ def test_a_calibration_from_loads_that_nobody_measured_says_so_where_it_moves_ax
     assert ppshw(*ask, desk / "new.json").err == ""
 
 
-def test_a_fit_that_leaves_more_than_the_ideal_machine_is_not_written(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_that_leaves_more_than_the_ideal_machine_is_not_written(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No recording at hand makes one: what counts as no better is turned down to nothing."""
     monkeypatch.setattr("ppshw.cli.fit.NO_BETTER", 0.0)
     said = ppshw("identify", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.json")
@@ -595,7 +616,10 @@ def test_a_visit_whose_final_approach_begins_beyond_a_limit_is_refused_before_an
         ("{interface: socketcand, channel: can0}", "CAN socketcand can0: 'can.bus' of the site file lacks host, port"),
         ("{interface: slcan}", "CAN slcan ?: 'can.bus' of the site file lacks channel"),
         ("{channel: desk}", "CAN ? desk: 'can.bus' of the site file lacks interface"),
-        ("{interface: virtual, channel: [1]}", "CAN virtual [1]: 'can.bus' of the site file cannot be used: unhashable"),
+        (
+            "{interface: virtual, channel: [1]}",
+            "CAN virtual [1]: 'can.bus' of the site file cannot be used: unhashable",
+        ),
     ],
 )
 def test_a_bus_that_is_described_badly(desk: Path, bus: str, lacks: str) -> None:
@@ -764,8 +788,14 @@ def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("evaluate good.csv --machine no.yaml", "ppshw: no.yaml: no such file, and no machine of that name (there are: arm6, pps)\n"),
-        ("identify bad.csv --machine machine.yaml --out c.json", "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside"),
+        (
+            "evaluate good.csv --machine no.yaml",
+            "ppshw: no.yaml: no such file, and no machine of that name (there are: arm6, pps)\n",
+        ),
+        (
+            "identify bad.csv --machine machine.yaml --out c.json",
+            "bad.csv:12: column q_cmd_rail: setpoint 0.81 is outside",
+        ),
     ],
 )
 def test_the_program_says_one_line_and_nothing_of_its_insides(desk: Path, words: str, expected: str) -> None:

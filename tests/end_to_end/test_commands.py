@@ -94,9 +94,7 @@ def test_a_run_completes_and_once_more_has_nothing_left_to_do(hall: Path) -> Non
 
 
 @pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGQUIT])
-def test_a_run_that_is_told_to_end_stops_the_axes_and_goes_on_later(
-    hall: Path, request_to_end: signal.Signals
-) -> None:
+def test_a_run_that_is_told_to_end_stops_the_axes_and_goes_on_later(hall: Path, request_to_end: signal.Signals) -> None:
     """SIGTERM, as a service manager sends it, and Ctrl-\\ are as good as Ctrl-C; meanwhile nobody else may write the
     recording."""
     out = f"{request_to_end.name}.db"

@@ -98,8 +98,9 @@ def test_a_short_demo_does_the_whole_job(tmp_path: Path, scripts: dict[str, str]
 @pytest.mark.parametrize("name", ["machine.yaml", "site.yaml", "report.html", "thesis.tex"])
 def test_a_folder_with_somebody_s_own_files_is_refused_and_left_as_it_was(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine\n", encoding="utf-8")
-    with pytest.raises(BadInput, match=f"holds {name}, which no demo made"), fresh_folder(
-        tmp_path, ROOT / "machines/pps.yaml"
+    with (
+        pytest.raises(BadInput, match=f"holds {name}, which no demo made"),
+        fresh_folder(tmp_path, ROOT / "machines/pps.yaml"),
     ):
         pass
     assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == {name: "mine\n"}

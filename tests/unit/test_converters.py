@@ -306,9 +306,7 @@ def test_stale_readings_are_said_and_kept(tmp_path: Path, caplog: pytest.LogCapt
 
 
 @pytest.mark.parametrize(("sign", "sags"), [(1, True), (-1, False)])
-def test_the_ur5_sags_only_with_the_sign_of_the_difference_that_we_chose(
-    tmp_path: Path, sign: int, sags: bool
-) -> None:
+def test_the_ur5_sags_only_with_the_sign_of_the_difference_that_we_chose(tmp_path: Path, sign: int, sags: bool) -> None:
     ur5.convert(raw("ur5", "grid.csv"), tmp_path / "out.csv")
     m = machine("ur5")
     rec = load_recording(tmp_path / "out.csv", m)

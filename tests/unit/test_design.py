@@ -31,7 +31,9 @@ from tests.unit.small_campaign import SLIDE
 
 ROOT = Path(__file__).parents[2]
 # A carriage with a turning arm on it: two joints, so that a design takes a second.
-SMALL = f"name: small\n{SLIDE}" + """\
+SMALL = (
+    f"name: small\n{SLIDE}"
+    + """\
   - name: turn
     type: revolute
     origin: {xyz: [0, 0, 0.5], rpy: [0, 0, 0]}
@@ -45,6 +47,7 @@ tip:
   points: {treatment: [0.3, 0, 0.2]}
 repeatability: {position: 1.4e-4}
 """
+)
 
 
 def machine_of(folder: Path, text: str = SMALL) -> Machine:

@@ -15,9 +15,12 @@ from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 from tests.unit.small_campaign import SLIDE
 
-MACHINE = f"name: rail\n{SLIDE}" + """\
+MACHINE = (
+    f"name: rail\n{SLIDE}"
+    + """\
 tip: {targets: {P1: [0.2, 0, 0], P2: [0, 0.2, 0], P3: [0, -0.2, 0]}}
 """
+)
 LOADS = """\
 name: weights
 loads: [{name: empty, mass: 0}, {name: disc, mass: 40, com: [0, 0, 0.1]}]

@@ -93,9 +93,7 @@ def test_effects_are_of_the_compliances_that_they_were_found_with(tmp_path: Path
     others = replace(found, theta=3.0 * base().theta)
     replace(others, laid=base().theta).save(tmp_path / "cal.json")
     laid = load_calibration(tmp_path / "cal.json", load_machine(PPS))
-    moved = [
-        residuals(whole(), replace(c, effects=())) - residuals(whole(), c) for c in (found, laid, others)
-    ]
+    moved = [residuals(whole(), replace(c, effects=())) - residuals(whole(), c) for c in (found, laid, others)]
     np.testing.assert_allclose(moved[1], moved[0], atol=1e-12)
     assert rms(moved[0]) > 1e-6
     assert rms(moved[2] - moved[0]) > 0.5 * rms(moved[0])

@@ -63,9 +63,7 @@ def calibration(machine: Machine, kind: str, seed: int = 1) -> Calibration:
     size = {"geometric": {"m": 5e-4, "rad": 1e-4}, "compliance": {"m/N": 2e-7, "rad/N": 1e-7, "rad/(N m)": 1e-7}}
     size["own_motion"] = {"m": 1e-5, "rad": 1e-5}
     kinds = [t.kind for t in terms for _ in t.parameters(machine.frame_names)]
-    theta = np.array(
-        [rng.normal(scale=size[kind][p.unit]) for kind, p in zip(kinds, model.parameters(), strict=True)]
-    )
+    theta = np.array([rng.normal(scale=size[kind][p.unit]) for kind, p in zip(kinds, model.parameters(), strict=True)])
     return Calibration(
         model, theta, np.zeros((len(theta),) * 2), Noise(np.eye(6) * 1e-9, 2e-5), np.eye(4),
         np.stack([low, high], axis=1), LOADS, {}, {},

@@ -125,9 +125,7 @@ def test_only_garbage_is_a_protocol_error(
     assert sensor.read().wrench[1] == pytest.approx(PATIENT[1], abs=1.0)
 
 
-def test_a_pulled_plug_names_the_port(
-    sensor: BotaSensor | Gsv8Sensor, device: SimulatedBota | SimulatedGsv8
-) -> None:
+def test_a_pulled_plug_names_the_port(sensor: BotaSensor | Gsv8Sensor, device: SimulatedBota | SimulatedGsv8) -> None:
     device.unplug()
     with pytest.raises(LineLost, match="force sensor: lost the port loopback"):
         sensor.read()
@@ -252,7 +250,7 @@ def test_bota_checksum_is_crc_16_x_25() -> None:
 
 def test_a_bota_frame_written_by_hand_is_read() -> None:
     """Little-endian: status 0, Fx = 1.0 (3F800000), Fy … Mz = 0, time stamp 258, 25.0 °C (41C80000)."""
-    body = bytes.fromhex("0000" "0000803f" + 5 * "00000000" + "02010000" "0000c841")
+    body = bytes.fromhex("00000000803f" + 5 * "00000000" + "020100000000c841")
     frame = BotaParser().feed(b"\xaa" + body + struct.pack("<H", crc_x25(body)))[0]
     assert frame.wrench == (1.0, 0, 0, 0, 0, 0)
     assert (frame.status, frame.timestamp, frame.temperature_c) == (0, 258, 25.0)
@@ -301,7 +299,7 @@ def test_gsv8_says_who_it_is(gsv: Gsv8Sensor) -> None:
 
 def test_a_gsv8_frame_written_by_hand_is_read() -> None:
     """Big-endian, status 30 (float32): 1.0, −2.0, 0, 0, 0, 100.0."""
-    frame = GsvParser().feed(bytes.fromhex("aa1530" "3f800000" "c0000000" + 3 * "00000000" + "42c80000" "85"))[0]
+    frame = GsvParser().feed(bytes.fromhex("aa15303f800000c0000000" + 3 * "00000000" + "42c8000085"))[0]
     assert frame.values == (1.0, -2.0, 0.0, 0.0, 0.0, 100.0)
 
 

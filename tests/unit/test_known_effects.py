@@ -558,9 +558,10 @@ def test_what_a_thermometer_read_since_an_hour_ago_is_known_where_the_program_sa
     before = asked(Compensator(replace(base()[1], effects=(), reference={})), around=here)
     assert found.predicted_error[1] - before.predicted_error[1] == pytest.approx(1e-5 * (lag - 22.0), rel=0.05)
     lately = replace(stood, time=now - 1200.0)
-    assert "taken as steady" in asked(
-        anywhere, around=here, past=anywhere.known.remember(Past(known=True), lately)
-    ).effects[0].why
+    assert (
+        "taken as steady"
+        in asked(anywhere, around=here, past=anywhere.known.remember(Past(known=True), lately)).effects[0].why
+    )
 
 
 def test_forms_of_which_only_the_sum_is_known_make_no_more_unsure_than_their_sum() -> None:
@@ -575,9 +576,7 @@ def test_forms_of_which_only_the_sum_is_known_make_no_more_unsure_than_their_sum
     assert Effect.from_dict(json.loads(json.dumps(related.as_dict()))) == related
     reference, warmer = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}, Around(temperatures={"rail": 26.0})
     of_both = replace(base()[1], reference=reference, visits=None, temperature_range={})  # it stood there all the time
-    more = [
-        along_y(Compensator(replace(of_both, effects=(effect,))), around=warmer) for effect in (both, related)
-    ]
+    more = [along_y(Compensator(replace(of_both, effects=(effect,))), around=warmer) for effect in (both, related)]
     assert more[0] == pytest.approx(4.0 * std * np.sqrt(2.0), rel=0.05)
     assert more[1] == pytest.approx(4.0 * std * np.sqrt(2.0 + 2.0 * rho), rel=0.05)
 

@@ -67,9 +67,7 @@ def test_a_damaged_encoder_cell_is_no_travel(measured: tuple[Machine, Recording]
 
 
 @pytest.mark.parametrize("factor", [4.0, 10.0, 100.0, -1.0])
-def test_a_misread_wrench_spoils_nothing_but_its_own_visit(
-    measured: tuple[Machine, Recording], factor: float
-) -> None:
+def test_a_misread_wrench_spoils_nothing_but_its_own_visit(measured: tuple[Machine, Recording], factor: float) -> None:
     """Of a load that hangs there: such a row draws the compliances to itself and is fitted well."""
     machine, recording = measured
     one = int(np.argmax(np.abs(recording.wrench[:, 2])))

@@ -179,8 +179,9 @@ def test_the_bounds_kind_of_machine_is_that_of_the_simulated_ones() -> None:
     expected = []
     for seed in range(5):
         plant = Plant.from_file(machine_file(), seed)
-        there, ideal = plant.true_points(trial.test.q, trial.test.wrench, names=["treatment"]), plant.nominal_points(
-            trial.test.q, ["treatment"]
+        there, ideal = (
+            plant.true_points(trial.test.q, trial.test.wrench, names=["treatment"]),
+            plant.nominal_points(trial.test.q, ["treatment"]),
         )
         expected.append(((there["treatment"] - ideal["treatment"]) ** 2).sum(axis=1).mean())
     assert np.sqrt(square.mean()) == pytest.approx(np.sqrt(np.mean(expected)), rel=0.1)

@@ -265,9 +265,7 @@ def test_what_goes_on_with_time_alone_is_carried_and_held_at_its_end(rig: Rig) -
     assert "no axis is driven by it" in with_it.effects[0].why
 
 
-def test_what_is_not_carried_of_it_is_the_base_models_on_average(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_carried_of_it_is_the_base_models_on_average(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ppshw.diagnosis.carried.NAMELESS_GAIN", 0.0)
     space, found, _ = wandering(rig)
     carried = carry(space, rig.tried, found)

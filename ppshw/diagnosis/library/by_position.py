@@ -81,9 +81,7 @@ def coupling(c: Context) -> Iterator[Candidate]:
                     (((1, 1), (1, 2), (2, 1), (2, 2)), 0.5), (((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3)), 0.3),
                     (((0, 1), (1, 1), (2, 1), (3, 1)), 0.3), (tuple((i, 1) for i in range(7)), 0.3),
                 ):  # fmt: skip
-                    columns = tuple(
-                        Column("frame", *of_two(a, i, b, j), a + 1, comp) for i, j in powers
-                    )
+                    columns = tuple(Column("frame", *of_two(a, i, b, j), a + 1, comp) for i, j in powers)
                     yield Candidate(
                         "cross_coupling", name, name, COMPONENTS[comp], f"q_{other}", columns, {}, share,
                         (f"q_{name}", f"q_{other}"),

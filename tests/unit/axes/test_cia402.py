@@ -404,9 +404,7 @@ def test_a_motor_without_power_coasts(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("afterwards", [2, 6])  # 0x605A: power off after the ramp, or stay in QUICK STOP ACTIVE
-def test_closing_leaves_the_power_on_until_the_axes_have_braked(
-    build: Callable[..., Machine], afterwards: int
-) -> None:
+def test_closing_leaves_the_power_on_until_the_axes_have_braked(build: Callable[..., Machine], afterwards: int) -> None:
     m = build(replace(SLIDE, parameters={(0x605A, 0): afterwards, (0x6085, 0): 20_000}), LIFT)
     m.group.start()
 
@@ -535,8 +533,7 @@ def test_check_says_who_is_there_and_enables_nothing(build: Callable[..., Machin
     assert (info.device, info.serial, info.firmware) == ("slew", "4711", "ppshw-sim 1.0")
     assert "vendor 0x1A" in info.model
     assert info.status == (  # 0.5 rad + 25 000 counts / 50 000 counts per rad
-        "SWITCH ON DISABLED, at 1.000000 rad, heartbeat off, "
-        "WRONG DEVICE: product code is 0x50505301, expected 0x77"
+        "SWITCH ON DISABLED, at 1.000000 rad, heartbeat off, WRONG DEVICE: product code is 0x50505301, expected 0x77"
     )
     assert m.drive("slew").power is Power.SWITCH_ON_DISABLED
 
@@ -591,9 +588,7 @@ def test_another_drive_than_the_site_file_says_is_not_started(
 def test_a_parameter_that_reads_back_otherwise_stops_the_start(build: Callable[..., Machine]) -> None:
     m = build()
     m.drive("slide").lie_about(0x6081, 9_999)  # 0.1 m/s · 100 000 counts/m = 10 000
-    with pytest.raises(
-        ConfigurationMismatch, match="slide: profile velocity 0x6081:00: wrote 10000, read back 9999"
-    ):
+    with pytest.raises(ConfigurationMismatch, match="slide: profile velocity 0x6081:00: wrote 10000, read back 9999"):
         m.group.start()
 
 

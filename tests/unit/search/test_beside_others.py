@@ -704,7 +704,7 @@ def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size
     tried = Tried(there, some, 5e-5)
     found = [Found(k, tried.name(k), 0.0, 20.0, first=20.0) for k in range(2)]
     take_up(there, tried, found)
-    (first, more), = _each_once(tried, found)
+    ((first, more),) = _each_once(tried, found)
     said = finding(there, tried, first, more)
     assert said["sentence"].endswith(f" It acts {'about z' if said['component'] == 'ty' else 'along y'} too.")
     assert said["rms_mm"] == pytest.approx(1e3 * space.rms(sum(ways)), rel=0.15)

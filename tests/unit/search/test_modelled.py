@@ -55,7 +55,8 @@ def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
         expected = [
             np.einsum("ip,pq,iq->", rows, covariance, rows)
             for rows, covariance in (
-                (both[visit, :3] * machine, posterior), (alike.design[visit, :3] * machine[:-1], alone)
+                (both[visit, :3] * machine, posterior),
+                (alike.design[visit, :3] * machine[:-1], alone),
             )
         ]
         grown.append((said[0] / said[1], expected[0] / expected[1]))
