@@ -4,8 +4,10 @@ With X the base model's design, V = R + X Λ Xᵀ and Z_B the forms of B with a 
 
     λ = S_ff − S_fB (S_BB + Λ_B⁻¹)⁻¹ S_Bf,      S = Fᵀ V⁻¹ F,  F = [f, Z_B]
 
-left that neither B nor the base model can mimic. f moves the reflectors by the repeatability, rms over a recording that
-has every candidate in it; the middling form of A speaks for it. Both ways round: A taken for B, B for A.
+left that neither B nor the base model can mimic. Both ways round: A taken for B, B for A. Where a recording shows one
+of them, f is A as it is found there, and Z_B are the forms of B that fit it best: these two are to be told apart. Else
+f moves the reflectors by the repeatability, rms over a recording that has every candidate in it, and the middling form
+of A speaks for it.
 
 Visits come in blocks (`blocks`), chosen greedily for the gain per minute, or per visit where visits are short. A block
 adds rᵀ C⁻¹ r to S, with r its columns less what the base model predicts of them and C = I + x P xᵀ the prediction's
@@ -15,8 +17,9 @@ covariance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,10 +34,10 @@ from campaigns.foresight import approaches, pretended, springs, would_be
 from campaigns.plan import Plan
 from campaigns.script import EMPTY, LoadCase
 from ppshw import __version__
-from ppshw.diagnosis.evidence import Name
+from ppshw.diagnosis.evidence import Name, Tried
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.visibility import thinned
-from ppshw.diagnosis.workspace import caution_of
+from ppshw.diagnosis.workspace import caution_of, prepare
 from ppshw.errors import CampaignError
 from ppshw.identification import identify
 from ppshw.machine import Machine
@@ -47,11 +50,13 @@ Progress = Callable[[int, int], None]
 # Names are told apart from this √λ on: nine of ten, with what a name pays for its forms (docs/diagnosis-method.md §7).
 ENOUGH = 6.0
 FORMS, MANY = 8, 60  # of each name, to choose visits by; to say how much alike two names may be
+SHOWN = 3.0  # of log evidence, from which on a recording shows an effect
 HELP = 0.3  # by which √λ must grow at least, or the visits are of no help
 NEEDLESS = 0.02  # of all that is gained: a block that adds less is left out
 TAIL = 12  # visits before a block that its history is computed from
 AMPLITUDE = 3.0  # of the other effect, in units of the repeatability
 MOST_VISITS = 30
+AS_FOUND, AT_UNIT = "as found", "at 1 × repeatability"
 
 
 @dataclass(frozen=True)
@@ -72,28 +77,30 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Separation:
-    """rows: per pair, √λ before and after, each effect taken for the other, of the middling form, and before of the
-    form that is most alike; text: the script; blocks: in its order, none where all are told apart already (or nothing
-    helps) and there is no script."""
+    """rows: per pair, √λ before and after, each effect taken for the other, of the form found or the middling one, and
+    before of the form that is most alike; text: the script; blocks: in its order, none where all are told apart already
+    (or nothing helps) and there is no script; of: whose √λ it is, in words."""
 
     rows: list[dict[str, Any]]
     blocks: tuple[Block, ...]
     text: str
     seconds: float
+    of: str
 
     def why_none(self) -> str:
         """Why there are no blocks."""
         if all(r["before"] >= ENOUGH for r in self.rows):
             nearest = min(r["nearest"] for r in self.rows)
             alike = f"; the forms most alike stay so (√λ {nearest:.1f})" if nearest < ENOUGH else ""
-            return f"middling forms are told apart already (√λ of {ENOUGH:g} is enough){alike}: nothing written"
+            which = "they" if self.of == AS_FOUND else "middling forms"
+            return f"{which} are told apart already (√λ of {ENOUGH:g} is enough){alike}: nothing written"
         return "not told apart, and none of the visits tried would help (as many as --visits allows): nothing written"
 
     def lines(self) -> list[str]:
         out = []
         for r in self.rows:
             out.append(
-                f"{_taken_for(r)}: √λ {r['before']:.1f} before, {r['after']:.1f} after, at 1 × repeatability"
+                f"{_taken_for(r)}: √λ {r['before']:.1f} before, {r['after']:.1f} after, {self.of}"
                 f"{'' if r['after'] >= ENOUGH else ' (not enough)'}"
             )
         told: dict[str, int] = {}
@@ -109,17 +116,23 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     """Choose the visits. Raises CampaignError when an effect is unknown or has no form here."""
     machine = wanted.machine
     recording, belief, cases, unit = _so_far(wanted)
-    which = [machine.joint_names.index(wanted.joint)] if wanted.joint else list(range(machine.n))
+    shown = {} if isinstance(wanted.so_far, Plan) else _shown(wanted, recording)
+    asked = {wanted.joint} if wanted.joint else {joint for _, joint in shown if joint} or set(machine.joint_names)
+    which = [k for k, name in enumerate(machine.joint_names) if name in asked]
     offered = blocks(machine, cases, which, wanted.seed)
     whole = _followed_by(recording, offered, machine)
     theta = belief.theta + springs(belief.model, belief.strengths)
     now, rich = (Context.of(belief.model, theta, r, machine.tracker.frame) for r in (recording, whole))
-    columns, pairs = _columns(now, rich, wanted, FORMS)
+    columns, pairs = _columns(now, rich, wanted, FORMS, shown)
     laid = _Laid.at_repeatability(belief, theta, rich, columns, unit)
+    pairs = [pair.of_size(laid.scale) for pair in pairs]
     state = laid.state(recording)
-    every, all_pairs = _columns(now, rich, wanted, MANY)
-    with_many = _Laid.at_repeatability(belief, theta, rich, every, unit).state(recording)
-    nearest = [pair.strengths(with_many.s).min() for pair in all_pairs]
+    if shown:
+        nearest = [pair.strength(state.s) for pair in pairs]
+    else:
+        every, all_pairs = _columns(now, rich, wanted, MANY)
+        with_many = _Laid.at_repeatability(belief, theta, rich, every, unit).state(recording)
+        nearest = [pair.strengths(with_many.s).min() for pair in all_pairs]
     before = state.copy()
     tail = recording.subset(np.arange(max(0, len(recording) - TAIL), len(recording)))
     rows = []
@@ -137,7 +150,8 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
         for pair, least in zip(pairs, nearest, strict=True)
     ]  # fmt: skip
     seconds = float(sum(block.seconds(machine).sum() for block in picked))
-    return Separation(table, picked, _script(wanted, picked, table), seconds)
+    of = AS_FOUND if shown else AT_UNIT
+    return Separation(table, picked, _script(wanted, picked, table, of), seconds, of)
 
 
 # --- what is known so far -------------------------------------------------------------------------------------------
@@ -190,12 +204,18 @@ def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) 
 # --- what competes --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Pair:
-    """of, by: names; forms (F, K) coefficients of `of`'s forms at 1 × repeatability; rivals (K,) columns of `by`."""
+    """of, by: names; forms (F, K) coefficients of `of`'s forms at 1 × repeatability, or of the one that was found in
+    metres and radians; rivals (K,) columns of `by`."""
 
     of: Name
     by: Name
     forms: Array
     rivals: NDArray[np.int64]
+    found: bool = False
+
+    def of_size(self, scale: Array) -> _Pair:
+        """The same with all coefficients for columns that are so large (K,)."""
+        return replace(self, forms=self.forms / np.where(scale > 0, scale, np.inf)) if self.found else self
 
     def strength(self, s: Array) -> float:
         """√λ of the middling form: one that is easily told apart shall not speak for the others."""
@@ -204,17 +224,44 @@ class _Pair:
     def strengths(self, s: Array) -> Array:
         """(F,) √λ of every form."""
         cross = self.forms @ s[:, self.rivals]
-        inner = s[np.ix_(self.rivals, self.rivals)] + np.eye(len(self.rivals)) / AMPLITUDE**2
+        amplitude = AMPLITUDE * max(1.0, float(np.linalg.norm(self.forms, axis=1).max()))
+        inner = s[np.ix_(self.rivals, self.rivals)] + np.eye(len(self.rivals)) / amplitude**2
         left = np.einsum("fk,kl,fl->f", self.forms, s, self.forms)
         left -= np.einsum("fb,bf->f", cross, np.linalg.solve(inner, cross.T))
         return np.asarray(np.sqrt(np.maximum(left, 0.0)))
 
 
-def _columns(now: Context, rich: Context, wanted: Wanted, most: int) -> tuple[list[Column], list[_Pair]]:
+def _shown(wanted: Wanted, recording: Recording) -> dict[Name, list[tuple[Candidate, Array]]]:
+    """The forms of each name that fit a recording best, the best first, with their coefficients [m, rad]: of the pair
+    of names that it shows most of; none where it shows neither effect."""
+    space = prepare(wanted.machine, recording, np.ones(len(recording), dtype=bool))
+    mine = [k for k in library(space.context) if k.effect in wanted.effects and wanted.joint in (None, k.joint)]
+    tried = Tried(space, mine, space.unit)
+    said = tried.said()[0] + tried.log_share
+    if not mine or said.max() < SHOWN:
+        return {}
+    effect, joint = tried.name(int(np.argmax(said)))
+    out: dict[Name, list[tuple[Candidate, Array]]] = {}
+    for k in np.argsort(-said):
+        name = tried.name(int(k))
+        met = name == (effect, joint) or (name[0] != effect and (name[1] == joint or None in (name[1], joint)))
+        if met and len(forms := out.setdefault(name, [])) < FORMS:
+            forms.append((tried.candidates[k], tried.fitted(int(k))))
+    return out
+
+
+def _columns(
+    now: Context,
+    rich: Context,
+    wanted: Wanted,
+    most: int,
+    shown: Mapping[Name, Sequence[tuple[Candidate, Array]]] = MappingProxyType({}),
+) -> tuple[list[Column], list[_Pair]]:
     """Columns of at most so many forms of each name, each column once, and the pairs of names to be told apart.
 
     now, rich  the visits until now, in which what happened at some moment happened; with all that may be measured,
                which shows forms that nothing asked for until now
+    shown      the forms that were found, if any: these compete
     """
     every = [k for k in library(rich) if not _at_a_moment(k)] + [k for k in library(now) if _at_a_moment(k)]
     forms: dict[Name, list[Candidate]] = {}
@@ -227,6 +274,7 @@ def _columns(now: Context, rich: Context, wanted: Wanted, most: int) -> tuple[li
             )
         for k in thinned(mine, most)[0]:
             forms.setdefault((effect, k.joint), []).append(k)
+    forms = {name: [k for k, _ in shown[name]] for name in shown} or forms
     a, b = wanted.effects
     met = [
         (one, two) for one in forms if one[0] == a for two in forms if two[0] == b
@@ -248,10 +296,13 @@ def _columns(now: Context, rich: Context, wanted: Wanted, most: int) -> tuple[li
     for one, two in met:
         for of, by in ((one, two), (two, one)):
             rivals = sorted({at[c.key] for k in forms[by] for c in k.columns})
-            each = np.zeros((len(forms[of]), len(columns)))
-            for row, k in zip(each, forms[of], strict=True):
-                row[[at[c.key] for c in k.columns]] = 1.0 / np.sqrt(len(k.columns))
-            pairs.append(_Pair(of, by, each, np.array(rivals)))
+            speak = (
+                shown[of][:1] if shown else [(k, np.full(len(k.columns), len(k.columns) ** -0.5)) for k in forms[of]]
+            )
+            each = np.zeros((len(speak), len(columns)))
+            for row, (k, coefficients) in zip(each, speak, strict=True):
+                row[[at[c.key] for c in k.columns]] = coefficients
+            pairs.append(_Pair(of, by, each, np.array(rivals), bool(shown)))
     return columns, pairs
 
 
@@ -393,14 +444,14 @@ def _worth(pairs: Sequence[_Pair], s: Array) -> float:
 
 
 # --- the script -----------------------------------------------------------------------------------------------------
-def _script(wanted: Wanted, picked: Sequence[Block], table: Sequence[dict[str, Any]]) -> str:
+def _script(wanted: Wanted, picked: Sequence[Block], table: Sequence[dict[str, Any]], of: str) -> str:
     """An ordinary campaign; every block is a step, as the visits' order is what matters."""
     machine = wanted.machine
     loads = {block.case.name: block.case for block in picked}
     lines = [
         f"# Chosen by {wanted.asked}, version {__version__}, seed {wanted.seed}.",
         f"# Machine '{machine.name}', file {machine.sha256[:12]}. Visits that tell {wanted.effects[0]} and",
-        f"# {wanted.effects[1]} apart; expected √λ at 1 × repeatability, before and after:",
+        f"# {wanted.effects[1]} apart; expected √λ {of}, before and after:",
         *(f"#   {_taken_for(r)}: {r['before']:.1f}, {r['after']:.1f}" for r in table),
         f"name: {word(wanted.name)}",
         f"about: {sum(len(b.q) for b in picked)} visits in blocks that are measured in the order they are written",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
 from campaigns.script import load_script
 from ppshw.errors import CampaignError
-from ppshw.machine import Elastic, Machine
+from ppshw.machine import Elastic, Machine, load_machine
+from ppshw.recording import load_recording
+from simulators.concealed.case import make_case
 from tests.unit.small_campaign import RANDOM, planned, positioner
 
 SWEEPS = """name: sweeps
@@ -165,6 +168,23 @@ def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_
     assert apart.why_none() == f"{said}; the forms most alike stay so (√λ 1.3): nothing written"
     apart = replace(found, rows=[{**r, "nearest": 6.1} for r in apart.rows])
     assert apart.why_none() == f"{said}: nothing written"
+
+
+def test_where_a_recording_shows_an_effect_it_is_that_form_which_is_told_from_the_other(tmp_path: Path) -> None:
+    """Middling forms were told apart, and nothing was written, in five of six recordings of a reviewer's whose own were
+    not."""
+    make_case(4, "pps", "friction_hysteresis", 2.0, tmp_path / "case", tmp_path / "sealed", 150, 150)
+    (truth,) = json.loads((tmp_path / "sealed" / "truth.json").read_text())["effects"]
+    slipping = load_machine(tmp_path / "case" / "machine.yaml")
+    recording = load_recording(tmp_path / "case" / "recording.csv", slipping)
+    names = ("backlash", "friction_hysteresis")
+    found = separate(Wanted(slipping, names, None, recording, 12, 1, "next", "a test"))
+    assert {(r["joint"], r["for_joint"]) for r in found.rows} == {(truth["joint"], truth["joint"])}
+    assert len(found.rows) == 2  # both ways round
+    assert all("as found" in line for line in found.lines()[:2])
+    assert all(r["nearest"] == r["before"] <= r["after"] for r in found.rows)
+    apart = replace(found, blocks=(), rows=[{**r, "before": 6.1, "nearest": 6.1} for r in found.rows])
+    assert apart.why_none() == "they are told apart already (√λ of 6 is enough): nothing written"
 
 
 def test_more_of_what_is_told_apart_already_is_no_help() -> None:
