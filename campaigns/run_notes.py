@@ -9,6 +9,7 @@ import json
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -120,3 +121,19 @@ def last_visit(file: RecordingFile) -> dict[str, str]:
     """Column → cell; empty ones where nothing was measured yet."""
     header, rows = file.table()
     return dict(zip(header, rows[-1], strict=True)) if rows else dict.fromkeys(header, "")
+
+
+def put_on_since(file: RecordingFile, load: str) -> tuple[float, Array | None] | None:
+    """When a load was put on that no visit was measured under since, and lies there still [s since 1970], and what the
+    force sensor read before that (6,); None where the log knows of no such change."""
+    ended, since, read, before = last_visit(file)["time"], None, None, None
+    for time, kind, _, data in file.events():
+        if kind == "baseline":
+            read = np.array(data["wrench"], dtype=float)
+        elif kind == "load change" and time > ended:
+            if data["name"] != load:
+                since = None
+            elif since is None:  # one that a resumed run asked for again lay there
+                asked, answered = (datetime.fromisoformat(t).timestamp() for t in (data["asked"], time))
+                since, before = 0.5 * (asked + answered), read
+    return None if since is None else (since, before)

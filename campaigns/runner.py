@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from campaigns import run_notes
 from campaigns.bench import Bench
+from campaigns.design.loads import wrench as weighs
 from campaigns.operator import Command, Operator
 from campaigns.plan import Plan, Visit, check_setpoints
 from campaigns.steadiness import Steadiness
@@ -113,6 +114,7 @@ class _Run:
         self._map, self._map_label, self._progress = setpoint_map, map_label, progress
         self._joints = plan.machine.joint_names
         self._load: str | None = None
+        self._mass = 0.0  # of that load, as the operator says [kg]
         self._put_on = math.nan  # when it was put on [s] since 1970
         self._came: dict[str, int] = {}  # from which side joints came that stand where a broken-off run left them
         self._lay_before: Array | None = None  # wrench before that
@@ -299,10 +301,13 @@ class _Run:
         if self._map is None:
             return wanted
         now = self._bench.axes.positions()
-        wrench = np.zeros(6) if self._bench.force_sensor is None else self._bench.force_sensor.read().wrench
+        here = np.array([now[j] for j in self._joints])
+        if self._bench.force_sensor is not None:
+            wrench = self._bench.force_sensor.read().wrench
+        else:  # what the script's load weighs, as corrected_plan has it
+            wrench = weighs(self._plan.machine, here[None], self._mass, np.array(self._plan.loads[visit.load].com))[0]
         put_on = self._put_on, self._lay_before
         around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures(), *put_on)
-        here = np.array([now[j] for j in self._joints])
         who = f"visit {visit.index} ({visit.step}), corrected"
         try:
             commanded = np.asarray(self._map(wanted, wrench, here, around), dtype=float)
@@ -333,18 +338,21 @@ class _Run:
             return
         load = self._plan.loads.get(visit.load)
         assert load is not None, f"visit {visit.index} has a load '{visit.load}' that the script does not define"
+        lies = run_notes.put_on_since(file, load.name) if self._load is None else None
+        lay_there = self._load is None and run_notes.last_visit(file).get("load") == load.name  # all the time, perhaps
         self._lay_before = self._baseline(file, f"before the change to load {load.name}")
         asked, began = self._now(), self._bench.clock.utc().timestamp()
         with self._watched():
             answer = self._operator.change_load(load)
-        lay_there = self._load is None and run_notes.last_visit(file).get("load") == load.name  # all the time, perhaps
         self._put_on = math.nan if lay_there else 0.5 * (began + self._bench.clock.utc().timestamp())
+        if lies is not None:
+            self._put_on, self._lay_before = lies
         mass = load.mass if answer.mass is None else answer.mass
         note = {"asked": asked, "operator": answer.name, "mass_kg": mass, **asdict(load)}
         text = f"{load.name}: {mass:g} kg put on by {answer.name}"
         text += "" if mass == load.mass else f", {load.mass:g} kg were asked for"
         self._log(file, "load change", text, note)
-        self._load = load.name
+        self._load, self._mass = load.name, mass
         self._weighed(load.name, mass, self._baseline(file, f"after the change to load {load.name}"))
 
     def _weighed(self, load: str, mass: float, felt: Array | None) -> None:

@@ -71,6 +71,8 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     warnings = calibration.doubts() + calibration.other_sides(last_way)
     if a.point is not None and not compensator.position_first:
         warnings.append("--point: these joints put the whole end-effector frame right, it changes nothing")
+    if site.make_force_sensor is None and any(load.mass > 0 for load in plan.loads.values()):
+        warnings.append("no force sensor at this site: setpoints are for what the script's loads weigh")
     warn(a.calibration, warnings)
     correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine), point=a.point)
     correct.refuse_before(site.clock().utc().timestamp())
