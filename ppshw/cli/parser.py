@@ -98,6 +98,8 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--site", required=True, metavar="S", help="site file")
     p.add_argument("--out", required=True, metavar="REC.db", help="the recording; goes on with one that is begun")
     p.add_argument("--calibration", metavar="CAL.json", help="drive compensated setpoints")
+    p.add_argument("--after", metavar="REC", help="what was measured last before: creep, friction and lags go on from "
+                   "there (default: from the calibration's recording, if that ended within an hour)")  # fmt: skip
     p.add_argument("--point", help="with fewer than six joints: what they bring to its place (default: treatment, else "
                    "the first point, or the tip)")  # fmt: skip
     _reset_faults(p)

@@ -56,8 +56,9 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     """Compensated setpoints for a whole campaign, when a calibration is given; refused here where they would be; and
     warnings of that calibration."""
     if a.calibration is None:
-        if a.point is not None:
-            raise BadInput("--point: has no meaning without --calibration")
+        for option in ("point", "after"):
+            if getattr(a, option) is not None:
+                raise BadInput(f"--{option}: has no meaning without --calibration")
         return None, "as planned", []
     if a.point is not None:
         check_point(a.point, site.machine)
@@ -65,6 +66,7 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     from campaigns.site import check_moves
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator, Corrections
+    from ppshw.recording import load_recording
 
     compensator = Compensator(calibration := load_calibration(a.calibration, site.machine))
     last_way = run_up(site)
@@ -74,7 +76,8 @@ def _setpoint_map(a: argparse.Namespace, site: Any, plan: Any) -> tuple[Any, str
     if site.make_force_sensor is None and any(load.mass > 0 for load in plan.loads.values()):
         warnings.append("no force sensor at this site: setpoints are for what the script's loads weigh")
     warn(a.calibration, warnings)
-    correct = Corrections(compensator, run_up=last_way, so_far=_so_far(Path(a.out), site.machine), point=a.point)
+    after = None if a.after is None else load_recording(a.after, site.machine)
+    correct = Corrections(compensator, after, last_way, _so_far(Path(a.out), site.machine), a.point)
     correct.refuse_before(site.clock().utc().timestamp())
     with Bar() as bar:
         foreseen = corrected_plan(plan, compensator, last_way, correct.point, lambda k, n: bar("setpoints", k, n))

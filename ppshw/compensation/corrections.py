@@ -26,10 +26,10 @@ AT_REST = 1e-4
 class Corrections:
     """Corrected setpoints of one run, each with the moves before it as its past: for a campaign.
 
-    after           what the machine did last, for effects that look back
-    so_far          the visits of this run that there are already, where it goes on with it. These, or the visits that
-                    the calibration was made from, are what the machine did last if it goes on soon after them
-                    (`earlier.goes_on`) and nothing else is said
+    after           what the machine did before this run, for effects that look back
+    so_far          the visits of this run that there are already, where it goes on with it. Where nobody says what went
+                    before (after), these, or the visits that the calibration was made from, are what the machine did
+                    last if it goes on soon after them (`earlier.goes_on`)
     run_up          (n,) the last way of axes that the site has come from one side always, signed, 0 elsewhere [m, rad]
     point           what fewer than six joints bring to its place; by default the machine's `where_it_counts`
     left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
@@ -43,15 +43,14 @@ class Corrections:
         self._compensator, self._run_up = compensator, run_up
         self.point = point or compensator.machine.where_it_counts
         self._past = Past()
-        self._visits = compensator.calibration.visits if after is None else None
-        if so_far is not None:
-            self._visits = continued(self._visits, so_far)[0]
+        earlier = compensator.calibration.visits if after is None else after
+        self._visits = earlier if so_far is None else continued(earlier, so_far)[0]
         self._loads: set[str] = set()  # that this run has met
         self._ended = -math.inf  # when visits ended that effects look back to [s since 1970]
         if self._visits is not None and compensator.known is not None and compensator.known.looks_back:
             self._ended = float(np.max(self._visits.time, initial=-math.inf))
-        if after is not None and compensator.known is not None:
-            self._past = compensator.known.past_of(after)
+        if after is not None and self._visits is not None and compensator.known is not None:
+            self._past = compensator.known.past_of(self._visits)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
         self.position_first, self.left = compensator.position_first, np.zeros(2)
 
@@ -70,7 +69,7 @@ class Corrections:
         if time < self._ended - SAME_S:
             now, ended = (datetime.fromtimestamp(t, UTC).isoformat(timespec="seconds") for t in (time, self._ended))
             raise CompensationRefused(
-                f"the clock says {now}, the visits that this calibration was made from go on until {ended}: creep, "
+                f"the clock says {now}, the visits that came before it go on until {ended}: creep, "
                 "lags and the like need what went before; expected this computer's clock and the recording's times to "
                 "agree (times without an offset are taken as UTC)"
             )

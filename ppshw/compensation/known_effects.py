@@ -25,6 +25,7 @@ from ppshw.quantities import called
 from ppshw.recording import Recording
 from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
 from ppshw.terms import Situation
+from ppshw.terms.earlier import SAME_LOAD_N
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
 from ppshw.terms.history import hours_since_change, lagged, payloads, weighs
 from ppshw.terms.shapes import Column, Context
@@ -143,6 +144,8 @@ class KnownEffects:
             reserve.append("how far the joint has gone since it turned back is not known; taken as far")
         if effect.name == "creep" and past.on_nothing:
             reserve.append("what lay there before is not known; taken as nothing")
+        if effect.name == "creep" and past.lay_long:
+            reserve.append("what lay there before is taken to have lain there for long")
         oldest = self._reference.get(OLDEST_LOAD_H, math.inf)
         if effect.name == "creep" and self._load_age_h([*past.moments, now]) > oldest:
             reserve.append(
@@ -497,7 +500,8 @@ class KnownEffects:
         since = moments[-1].time - 3600.0 * self._reference.get("hours", math.inf)
         late = next((k for k, m in enumerate(everything) if not m.time < since), len(everything) - 1)
         known = past.known or changed
-        return Past(everything[late:], wrenches[late:], chain[late:], compliance[late:], known, past.recorded)
+        lay_long = past.lay_long and not late
+        return Past(everything[late:], wrenches[late:], chain[late:], compliance[late:], known, past.recorded, lay_long)
 
     def past_of(self, recording: Recording) -> Past:
         """A recording as the past of what is to come on the same machine, its loads under the same labels. What hung
@@ -532,7 +536,10 @@ class KnownEffects:
         put_on = replace(now, time=at - age + AT_ONCE_S)
         past = self.remember(Past(), empty, put_on)
         known, said = seconds is not None, lay_before is not None
-        return replace(past, known=known, recorded=said, standing=start is None, on_nothing=known and not said)
+        lay_long = bool(np.linalg.norm(lay[:3]) > SAME_LOAD_N)
+        return replace(
+            past, known=known, recorded=said, lay_long=lay_long, standing=start is None, on_nothing=known and not said
+        )
 
 
 def _joints(columns: Iterable[Column], functions: Collection[str]) -> list[int]:

@@ -48,6 +48,7 @@ class Past:
 
     known     whether it reaches back to the last change of load
     recorded  whether it begins with a recording's first visit, or with what else had lain there for long
+    lay_long  whether what had lain there at its beginning is only taken to have lain there for long
     on_nothing  whether its load is taken to have been put on an empty machine, for want of anybody who says so
     standing  whether nobody says where the move starts: the machine stood where it goes to
     """
@@ -58,6 +59,7 @@ class Past:
     compliance: Array | None = None
     known: bool = False
     recorded: bool = False
+    lay_long: bool = False
     on_nothing: bool = False
     standing: bool = False
 

@@ -176,8 +176,9 @@ def test_a_run_of_a_machine_with_two_joints_says_what_they_cannot_put_right(tmp_
         assert at_tip["most_left_mm"] != pytest.approx(found["most_left_mm"], abs=1e-3)
         said = run(tmp_path, *words[:5], "no.db", *words[6:-1], "--point", "nose", code=2)
         assert "--point: no point named 'nose'" in said
-        said = run(tmp_path, *words[:5], "no.db", "--point", "tip", code=2)
-        assert "has no meaning without --calibration" in said
+        for option in ("--point", "--after"):
+            said = run(tmp_path, *words[:5], "no.db", option, "tip", code=2)
+            assert f"{option}: has no meaning without --calibration" in said
         assert "most_left_mm" not in run(tmp_path, *words)  # nothing is left to do, so that nothing was corrected
 
 

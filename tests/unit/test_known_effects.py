@@ -431,7 +431,10 @@ def test_what_stands_beside_a_gaussian_process_in_place_of_an_effect_drives_no_a
 def test_creep_of_a_run_s_first_load_is_by_when_it_was_put_on_and_what_lay_there_before(lay_before: float) -> None:
     compensator = creeping_over_half_an_hour()
     at = Around(1.7e9, "box", {}, 1.7e9 - 600.0, lay_before * payload())
-    there = Corrections(compensator)(POSE, payload(), POSE, at)
+    move = Corrections(compensator)
+    there = move(POSE, payload(), POSE, at)
+    said = "what lay there before is taken to have lain there for long" if lay_before else ""
+    assert [verdict.why for verdict, _ in move.said] == [said]
     plain = asked(Compensator(base()[1])).corrected
     # superposed: what is still to come of the load that was added, of a load that lay there for long nothing
     missing = (1.0 - lay_before) * (asked(compensator, loaded_for=600.0).corrected - plain)
@@ -488,6 +491,8 @@ def test_a_run_that_goes_on_knows_its_own_visits() -> None:
 
     whole = [BELOW, *run(moves[1:], Corrections(compensator, so_far=visited([BELOW])), BELOW)]
     gone_on = run(moves[3:], Corrections(compensator, so_far=visited(whole[:3])), whole[2])
+    by_another = Corrections(compensator, after=visited(whole[:2]), so_far=visited(whole[:3]).subset([2]))
+    np.testing.assert_allclose(run(moves[3:], by_another, whole[2])[0], gone_on[0], atol=1e-9)
     forgotten = run(moves[3:], Corrections(compensator), whole[2])
     assert np.abs(gone_on[0] - whole[3]).max() < 0.1 * np.abs(forgotten[0] - whole[3]).max()
 
