@@ -344,7 +344,7 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
 
 
 def shape_unit(c: Context, name: str, candidate: Candidate) -> str:
-    if name.endswith(("load_width", "knee_load")):
+    if name.endswith(("load_width", "knee_load", "falls_at")):
         return _load_unit(candidate.covariate)
     if name in ("width", "past", "period"):  # of the joint's own way, whichever component errs
         return c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit

@@ -42,6 +42,28 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     assert np.quantile(at, 0.3) < said["knee_load"]["value"] < np.quantile(at, 0.7)
 
 
+@pytest.mark.parametrize("below", [0.26, 0.44, 0.66])
+def test_a_joint_that_falls_at_a_load_which_never_changes_sign_is_told_from_the_next_one(
+    space: Workspace, below: float
+) -> None:
+    """Whose load is the same but for a constant, and does: it was the next one in four of thirteen recordings, for
+    certain, with a gap of 0.5 ± 1.1 mrad (a reviewer's)."""
+    frame = space.machine.joint_names.index("vertical") + 1
+    load = space.context.wrenches[:, frame, 3]
+    assert load.min() > 0
+    at = float(np.quantile(load, below))
+    side = {"frame": frame, "component": 3, "width": 0.2, "offset": at / float(load.std())}
+    column = Column("frame", "load_side", side, frame, 3)
+    there = moved_by(space, column, 4.0)
+    (found, *pieces), tried = look(there, ["clearance"])
+    assert {f.name for f in (found, *pieces)} == {("clearance", "vertical")}
+    said = finding(there, tried, found, pieces)["parameters"]
+    assert said["falls_at"]["unit"] == "N m"
+    assert abs(said["falls_at"]["value"] - at) < 2.0 * said["falls_at"]["std"]
+    half = 4.0 * 5e-5 / np.sqrt((column.evaluate(space.context) ** 2).sum() / space.recording.seen.sum())
+    assert abs(said["half_gap"]["value"] - half) < 3.0 * said["half_gap"]["std"] < 1.0 * half
+
+
 def test_a_gap_that_widens_along_a_travel_is_one_effect(space: Workspace) -> None:
     joint = space.machine.joint_names.index("yaw")
     about = "yaw", "rx", "Mx"
@@ -77,7 +99,7 @@ def test_a_joint_whose_weight_is_balanced_falls_about_a_load_that_never_changes_
     ]  # fmt: skip
     assert balanced
     for column in balanced:
-        assert 0.2 < (column.value(space.context) > 0).mean() < 0.8
+        assert 0.15 < (column.value(space.context) > 0).mean() < 0.85
 
 
 @pytest.mark.parametrize(("beyond", "falls"), [(4, False), (5, True)])
