@@ -47,7 +47,7 @@ def diagnose(a: argparse.Namespace) -> None:
     from ppshw.diagnosis.modelled import extended
     from ppshw.diagnosis.search import MOST_FINDINGS
     from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
-    from ppshw.diagnosis.wording import how_sure, unexplained
+    from ppshw.diagnosis.wording import how_sure, unexplained, would_have_shown
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.identification.plausible import noisier_than_stated
     from ppshw.recording import load_recording
@@ -107,6 +107,8 @@ def diagnose(a: argparse.Namespace) -> None:
     lines += [f"  {c['sentence']}" for c in answer["corrections"]]
     lines.append(f"held out: {held['rms_before_mm']:.3f} mm rms before, {held['rms_after_mm']:.3f} mm after; "
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
+    if answer["verdict"] == "consistent" and (seen := would_have_shown(answer["visibility"])):
+        lines.append(seen)
     if (how := NOT_BENT.get(found.space.machine.bent_by)) is not None:
         lines.append(f"own weights {how}")
     if remembers := serial.sentence(answer):

@@ -166,6 +166,9 @@ def evaluate(a: argparse.Namespace) -> None:
                      "calibration's own")  # fmt: skip
     for u in answer.get("unexplained", ()):
         over = columns_listed([column_of(name) for name in u["covariates"]])
+        if u["visits_without"] == answer["visits"]:
+            lines.append(f"structure over {over} is corrected at no visit: there were no data like any of these")
+            continue
         lines.append(
             f"corrected without a name over {over}, by which unsure to "
             f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data"

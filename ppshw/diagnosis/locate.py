@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from ppshw.diagnosis.library.sampled import waving_joints
 from ppshw.diagnosis.replicas import Compared
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
@@ -123,7 +124,7 @@ def _covariates(c: Context) -> Iterator[Covariate]:
     moving = [k for k in range(len(joints)) if np.ptp(r.q[:, k]) > 0]
     for k in moving:
         yield Covariate((f"q_{joints[k]}",), "travel", _cosines(r.q[:, k]))
-    for k in moving:
+    for k, _ in waving_joints(c):
         yield Covariate((f"q_{joints[k]}",), "waves", np.zeros((len(r), 1)) + r.q[:, k : k + 1])
     for k in moving:
         s = r.approach[:, k].astype(float)

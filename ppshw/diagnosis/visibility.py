@@ -233,7 +233,8 @@ def alias_words(name: Name, aliases: Sequence[Alias]) -> str:
     out = f" This recording cannot tell it from {_listed(name, one)}." if one else ""
     if far:
         least = min(a.apart for a in far)
-        out += f" Nearly like it here, but told apart by {least:.0f} standard deviations: {_listed(name, far)}."
+        apart = f"though such recordings tell them apart by {least:.0f} standard deviations"
+        out += f" Nearly like it, {apart}: {_listed(name, far)}."
     return out
 
 

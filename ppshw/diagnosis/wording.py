@@ -18,7 +18,7 @@ from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
 from ppshw.diagnosis.sensor_words import against_gravity, turned
-from ppshw.diagnosis.visibility import TOLD_APART, Alias, alias_words, aliases_of
+from ppshw.diagnosis.visibility import NEVER, TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -126,6 +126,18 @@ def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
             same = rival["joint"] in (None, said["joint"])
             return said["effect"], rival["effect"], said["joint"] if same else None
     return None
+
+
+def would_have_shown(visibility: Sequence[Mapping[str, Any]]) -> str | None:
+    """For the terminal, where nothing was found: from which size on nine of ten such recordings show the effect that
+    shows best, and the one that shows worst."""
+    ordered = sorted(visibility, key=lambda r: r["detectable_mm"])
+    seen = [r for r in ordered if r["detectable_mm"] < 1e3 * NEVER]
+    if not seen:
+        return None
+    best, worst = (f"{called(r['effect'], r['joint'])} from {r['detectable_mm']:.3f} mm" for r in (seen[0], seen[-1]))
+    never = "" if len(seen) == len(ordered) else f", and {len(ordered) - len(seen)} of {len(ordered)} at no size"
+    return f"nine of ten such recordings would show {best} rms on, {worst} on{never}"
 
 
 def plan_options(one: str, other: str, joint: str | None) -> str:
@@ -246,8 +258,8 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str
         "wrench_error": f"the force sensor{_misreads(candidate, values)} ({size})" + _weighing(c, candidate),
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
-        "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}, which its file leaves out "
-        f"({size}).",
+        "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}"
+        f"{_along_its_travel(candidate)}, which its file leaves out ({size}).",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
@@ -260,6 +272,12 @@ def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
         return False
     own = own_component(c, c.machine.joint_names.index(candidate.joint))
     return bool(candidate.columns[0].component == own and values[0] > 0)
+
+
+def _along_its_travel(candidate: Candidate) -> str:
+    """Of a compliance whether it is one that changes along its joint's travel."""
+    changes = candidate.columns[0].function in ("load_q", "load_turn")
+    return " otherwise at one end of its travel than at the other (varies)" if changes else ""
 
 
 def _period(c: Context, candidate: Candidate) -> str:

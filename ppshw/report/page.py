@@ -107,10 +107,14 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         visits = f" on {after['visits']:.0f} configurations" if "visits" in after else ""
         on = f"{visits} that the identification did not use" if visits and numbers.unseen else visits
         with_it = ", with what the diagnosis found" if numbers.extended else ""
-        alone = f" ({mm(base['p98_6_mm'])} with the base calibration alone)" if "p98_6_mm" in base else ""
+        alone, worse = "", ""
+        if "p98_6_mm" in base:
+            alone = f" ({mm(base['p98_6_mm'])} with the base calibration alone)"
+            if base["p98_6_mm"] < after["p98_6_mm"]:
+                worse = " With what the diagnosis found it is worse: use the base calibration."
         return (
             f"Compensation brings 98.6 % of the errors {at} from within {mm(before['p98_6_mm'])} to within "
-            f"{mm(after['p98_6_mm'])}{with_it}{alone}, a factor of {factor:.0f}{on}{end}"
+            f"{mm(after['p98_6_mm'])}{with_it}{alone}, a factor of {factor:.0f}{on}{end}{worse}"
         )
     one = after or before
     if one and "p98_6_mm" in one:

@@ -424,6 +424,7 @@ def test_where_a_calibration_and_its_diagnosis_were_both_tried_the_page_says_whi
     base, extended = (mm(numbers.accuracy[case]["p98_6_mm"]) for case in ("compensated", "extended"))
     said = headline(contents, numbers)
     assert f"to within {extended}, with what the diagnosis found ({base} with the base calibration alone)" in said
+    assert said.endswith("With what the diagnosis found it is worse: use the base calibration.")  # none was corrected
     build_report(copy, NOW)
     assert "Distribution of the residual errors, with findings" in (copy / "report.html").read_text(encoding="utf-8")
 

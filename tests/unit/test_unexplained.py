@@ -198,7 +198,7 @@ def test_far_from_data_a_prediction_has_no_correction_and_says_so(rig: Rig) -> N
 
 
 def test_it_comes_back_from_a_file_and_the_command_counts_its_visits(
-    rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig.calibration.save(tmp_path / "cal.json")
     again = replace(rig, calibration=load_calibration(tmp_path / "cal.json", rig.machine))
@@ -208,6 +208,9 @@ def test_it_comes_back_from_a_file_and_the_command_counts_its_visits(
     assert "not at 0 visits" in capsys.readouterr().out
     assert main(["evaluate", *given, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unexplained"][0]["visits_without"] == 0
+    monkeypatch.setattr("ppshw.recording.load_recording", lambda *_: far_away(rig.later))
+    assert main(["evaluate", *given]) == 0
+    assert "structure over q_lateral (of the pose before) is corrected at no visit" in capsys.readouterr().out
 
 
 def test_no_axis_is_driven_by_it_and_its_size_is_in_the_uncertainty(rig: Rig) -> None:

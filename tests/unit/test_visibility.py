@@ -74,7 +74,7 @@ def test_what_is_told_apart_is_said_otherwise_than_what_is_not() -> None:
     near = Alias(("friction_hysteresis", "roll"), 0.97, 1.4)
     far = [Alias(("creep", "yaw"), 0.93, 12.3), Alias(("drift", None), 0.91, 15.0)]
     assert alias_words(name, [near]) == " This recording cannot tell it from friction hysteresis."
-    said = " Nearly like it here, but told apart by 12 standard deviations: creep of yaw, drift."
+    said = " Nearly like it, though such recordings tell them apart by 12 standard deviations: creep of yaw, drift."
     assert alias_words(name, far) == said
     assert alias_words(name, [far[0], near, far[1]]) == alias_words(name, [near]) + said
     assert alias_words(name, []) == ""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, own_component
+from ppshw.diagnosis.library.sampled import moving_joints, own_component, waving_joints
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -29,7 +29,7 @@ def of_two(a: int, i: int, b: int, j: int) -> tuple[str, dict[str, int]]:
 
 
 def periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candidate]:
-    for k, name in moving_joints(c):
+    for k, name in waving_joints(c):
         joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
         most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))

@@ -13,6 +13,7 @@ from ppshw.terms.shapes import Column, Context
 AIR = "air"  # the place of a thermometer that hangs in it
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # behind a thermometer
 VARIES = 0.05  # of its largest value: a load that varies less is constant
+FEW_PLACES = 12  # at which a joint stood: through so many any wave goes (a judgement)
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 
 
@@ -25,6 +26,14 @@ def own_component(c: Context, k: int) -> int:
 def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
     for k, name in enumerate(c.machine.joint_names):
         if np.ptp(c.recording.q[:, k]) > 0:
+            yield k, name
+
+
+def waving_joints(c: Context) -> Iterator[tuple[int, str]]:
+    """Joints that stood at enough places of their travel to tell one wave from another."""
+    for k, name in moving_joints(c):
+        q = c.recording.q[:, k]
+        if len(np.unique(np.round((q - q.min()) / np.ptp(q), 3))) > FEW_PLACES:
             yield k, name
 
 
