@@ -134,6 +134,11 @@ class Calibration:
                 "where the reflectors sit was estimated: what the end effector is off at every pose alike, of which "
                 "std_mm holds a part, is known no better than it was built"
             )
+        if len(self.machine.targets) == 1:
+            said.append(
+                f"{next(iter(self.machine.targets))} is its only reflector: how the end effector turns about it no "
+                "reading says, so that std_mm of points away from it rests on what machines are like"
+            )
         return said
 
     def other_sides(self, approach: NDArray[Any]) -> list[str]:

@@ -24,6 +24,7 @@ from ppshw.diagnosis.kinship import (
 from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.terms import COMPONENTS
 
 Array = NDArray[np.float64]
 # When all is found, a name stands only if it is ahead of every rival without one: by e⁴ by its own form, or by an
@@ -131,7 +132,8 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
     by_bare = own
     if pieces and not _bends_as_it_needs(tried, f, pieces):
         by_bare = max(own, _bare(space, tried, f, others, pieces))
-    with_all = min(every - ALL_AHEAD, FAR_BEHIND * by_bare)
+    here = every if f.name[0] not in OF_A_LOAD else min(every, _here(space, tried, f, others, pieces))
+    with_all = min(here - ALL_AHEAD, FAR_BEHIND * by_bare)
     ahead = min(AHEAD, AHEAD_OF_QUIET * own)
     if f.name[0] in FARTHER_AHEAD:
         ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
@@ -237,6 +239,15 @@ def _bare(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces:
     """What an effect in several directions says beside the others, in each by its bare form. The others are then taken
     up."""
     return _beside(space, tried, [replace(g, near=(), more=()) for g in (f, *pieces)], others)
+
+
+def _here(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces: Sequence[Found]) -> float:
+    """What an effect says with those of its near forms that act as it does itself: rivals of a load act in one
+    component, and what its joint does across that makes up for nothing there (stiffness as a clearance, another
+    author's 37016). The others are then taken up."""
+    ways = {tried.candidates[g.best].component for g in (f, *pieces)}
+    mine = [replace(g, near=tuple(k for k in g.near if COMPONENTS[k.component] in ways), more=()) for g in (f, *pieces)]
+    return _beside(space, tried, mine, others)
 
 
 def _beside(space: Workspace, tried: Tried, mine: list[Found], others: list[Found]) -> float:

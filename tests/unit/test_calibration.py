@@ -61,6 +61,9 @@ def test_a_base_frame_that_nobody_located_is_a_doubt_about_setpoints(made: Made)
     located = replace(calibration.machine.tracker, base=np.eye(4), targets_known=True)
     machine = replace(calibration.machine, tracker=located)
     assert replace(calibration, model=replace(calibration.model, machine=machine)).doubts() == []
+    alone = replace(machine, targets={"P1": next(iter(machine.targets.values()))})
+    (of_one,) = replace(calibration, model=replace(calibration.model, machine=alone)).doubts()
+    assert of_one.startswith("P1 is its only reflector")
 
 
 def test_it_says_where_it_came_from_and_where_it_holds(made: Made) -> None:

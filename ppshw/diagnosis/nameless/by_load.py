@@ -62,6 +62,7 @@ def under_load(c: Context) -> Iterator[Candidate]:
                     args = {**where, "place": place, "tau": tau}
                     warm = [Column("frame", "load_warm", {**args, "width": w}, frame, b) for w in (0.0, 0.3)]
                     found.append(rival(c, frame, b, (load, f"temp_{place}_C"), warm))
+            found += [rival(c, frame, comp, (load,), _across(frame, b, comp)) for comp in range(6) if comp != b]
             found += _between_posts(c, frame, b, load)
             found += _suddenly(c, frame, b, load)
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
@@ -72,6 +73,13 @@ def under_load(c: Context) -> Iterator[Candidate]:
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[most]}"
             found = [rival(c, frame, None, (load, f"temp_{place}_C"), softer)]
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, most])
+
+
+def _across(frame: int, component: int, comp: int) -> list[Column]:
+    """How a frame gives way across its load: names do too, and stiffness stood for a compliance that has none (another
+    author's 37014)."""
+    where = {"frame": frame, "component": component}
+    return [Column("frame", "load_legendre", {**where, "order": k}, frame, comp) for k in (1, 2, 3)]
 
 
 def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:
