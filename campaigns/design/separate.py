@@ -233,12 +233,16 @@ class _Pair:
 
 def _shown(wanted: Wanted, recording: Recording) -> dict[Name, list[tuple[Candidate, Array]]]:
     """The forms of each name that fit a recording best, the best first, with their coefficients [m, rad]: of the pair
-    of names that it shows most of; none where it shows neither effect."""
+    of names that it shows most of; none where it shows neither effect, or has no form of one of them."""
     space = prepare(wanted.machine, recording, np.ones(len(recording), dtype=bool))
-    mine = [k for k in library(space.context) if k.effect in wanted.effects and wanted.joint in (None, k.joint)]
+    mine = [k for k in library(space.context) if k.effect in wanted.effects]
+    if wanted.joint is not None:
+        mine = [k for k in mine if k.joint in (wanted.joint, None)]
+    if {k.effect for k in mine} != set(wanted.effects):
+        return {}
     tried = Tried(space, mine, space.unit)
     said = tried.said()[0] + tried.log_share
-    if not mine or said.max() < SHOWN:
+    if said.max() < SHOWN:
         return {}
     effect, joint = tried.name(int(np.argmax(said)))
     out: dict[Name, list[tuple[Candidate, Array]]] = {}
@@ -247,7 +251,7 @@ def _shown(wanted: Wanted, recording: Recording) -> dict[Name, list[tuple[Candid
         met = name == (effect, joint) or (name[0] != effect and (name[1] == joint or None in (name[1], joint)))
         if met and len(forms := out.setdefault(name, [])) < FORMS:
             forms.append((tried.candidates[k], tried.fitted(int(k))))
-    return out
+    return out if len({effect for effect, _ in out}) == 2 else {}
 
 
 def _columns(

@@ -161,7 +161,8 @@ def move(a: argparse.Namespace) -> None:
         with bar.expect("move", longest / site.speed):
             report = bench.axes.move(there)
     answer |= {"warnings": warnings + seen, "reached": dict(report.positions)}
-    say(a, answer, f"{text}\nreached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items()))
+    reached = folded(["reached: " + ", ".join(f"{j} {x:.6f}" for j, x in report.positions.items())])
+    say(a, answer, f"{text}\n{reached}")
 
 
 def _found_there(given: Any, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from campaigns.design.separate import Separation, Wanted, _chosen, _Pair, _State, _worth, separate
+from campaigns.design.separate import Separation, Wanted, _chosen, _Pair, _shown, _State, _worth, separate
 from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
 from campaigns.script import load_script
@@ -183,6 +183,9 @@ def test_where_a_recording_shows_an_effect_it_is_that_form_which_is_told_from_th
     assert len(found.rows) == 2  # both ways round
     assert all("as found" in line for line in found.lines()[:2])
     assert all(r["nearest"] == r["before"] <= r["after"] for r in found.rows)
+    here = Wanted(slipping, ("drift", names[1]), truth["joint"], recording, 12, 1, "next", "a test")
+    assert set(_shown(here, recording)) == {("drift", None), (names[1], truth["joint"])}  # of the base, wherever asked
+    assert _shown(replace(here, effects=("gremlins", names[1])), recording) == {}
     apart = replace(found, blocks=(), rows=[{**r, "before": 6.1, "nearest": 6.1} for r in found.rows])
     assert apart.why_none() == "they are told apart already (√λ of 6 is enough): nothing written"
 
