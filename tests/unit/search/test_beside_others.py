@@ -164,6 +164,7 @@ def test_two_forms_of_one_stiffness_bend_as_a_rival_does_and_two_directions_of_i
     evidence = np.array([0.0, 0.0, 1736.0 - tried.log_share[-1]])
     monkeypatch.setattr(standing, "_by_itself", lambda *_: (1376.0, 1824.0, evidence))
     monkeypatch.setattr(standing, "_bare", lambda *_: bare)
+    monkeypatch.setattr(standing, "_here", lambda *_: 1824.0)  # in both directions
     name = tried.name(0)
     found = [Found(0, name, 0.0, 1376.0, first=1376.0), Found(1, name, 0.0, 448.0, first=448.0)]
     standing.give_up(space, tried, found)
