@@ -126,13 +126,9 @@ def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> l
 
     lines: list[str] = []
     for one, other, joint in dict.fromkeys(filter(None, map(to_separate, findings))):
+        at = f" at {joint}" if joint else ""
         lines += [
-            folded(
-                [
-                    f"visits that may tell {called(one)} from {called(other)}{f' at {joint}' if joint else ''}; where "
-                    "none can, it says so:"
-                ]
-            ),
+            folded([f"visits that may tell {called(one)} from {called(other)}{at}; where none can, it says so:"]),
             f"  ppshw plan --after {shlex.quote(a.rec)} --machine {shlex.quote(a.machine)} \\",
             f"    {plan_options(one, other, joint)} --out next.yaml",
         ]

@@ -246,7 +246,10 @@ def _here(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces:
     component, and what its joint does across that makes up for nothing there (stiffness as a clearance, another
     author's 37016). The others are then taken up."""
     ways = {tried.candidates[g.best].component for g in (f, *pieces)}
-    mine = [replace(g, near=tuple(k for k in g.near if COMPONENTS[k.component] in ways), more=()) for g in (f, *pieces)]
+    mine = [
+        replace(g, near=tuple(k for k in g.near if COMPONENTS[k.component] in ways and k not in g.more), more=())
+        for g in (f, *pieces)
+    ]
     return _beside(space, tried, mine, others)
 
 
