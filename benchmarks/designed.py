@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import MACHINE
 from campaigns.design.ask import Question, answer
 from campaigns.plan import Summary, plan_campaign
 from campaigns.script import load_script
@@ -30,7 +29,7 @@ from ppshw.identification import identify
 from ppshw.machine import Machine, load_machine
 from ppshw.studies.accuracy import FEW_MACHINES, MACHINES
 from ppshw.studies.bound import bound
-from ppshw.studies.simulated import POINT, ensemble, make_trial
+from ppshw.studies.simulated import POINT, ensemble, machine_file, make_trial
 from ppshw.studies.study import FIRST_SEED
 
 Array = NDArray[np.float64]
@@ -81,7 +80,7 @@ def main() -> None:
     given = parser.parse_args()
     seeds, sizes = (1, [12]) if given.short else (given.seeds, given.visits)
     machines = FEW_MACHINES if given.short else MACHINES
-    machine = load_machine(MACHINE)
+    machine = load_machine(machine_file())
     print(f"Median of {seeds} machines (seeds from {FIRST_SEED}).\n")
     print("| " + " | ".join(HEAD) + " |\n" + "|---" * len(HEAD) + "|", flush=True)
     if not given.short and not given.without_paper:

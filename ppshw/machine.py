@@ -27,8 +27,10 @@ BentBy = Literal["own", "beyond", "payload"]
 RADIUS_986 = 3.27
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
-MOST_TURNS = 3.0  # of a joint before its limits look like degrees
-MOST_LONG, MOST_REPEATABILITY = 100.0, 0.01  # m, before lengths look like millimetres
+# What stands in a machine file beyond these was meant in other units: ours. Turns of a joint; lengths and scatter [m];
+# gravity [m/s²]; how far a body's centre is from its frame, if that is beyond the machine's reach [m]; masses.
+MOST_TURNS, MOST_LONG, COARSE_M = 3.0, 100.0, 5e-3
+EARTH_G, LEAST_FAR_M, HEAVY_KG = (9.5, 10.1), 5.0, 1e5
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -212,16 +214,29 @@ def doubts(machine: Machine) -> list[str]:
         if (turns := (high - low) / (2 * math.pi)) > MOST_TURNS:
             said.append(f"joint '{joint.name}': {low:g} … {high:g} rad is {turns:.1f} turns; are these degrees?")
     said += [f"{what} of {size:g} m; are these millimetres?" for what, size in _lengths(machine) if size > MOST_LONG]
-    if machine.repeatability is not None and machine.repeatability > MOST_REPEATABILITY:
-        said.append(f"a repeatability of {machine.repeatability:g} m; are these millimetres?")
-    return said
+    g = float(np.linalg.norm(machine.gravity))
+    if g and not EARTH_G[0] <= g <= EARTH_G[1]:
+        said.append(f"gravity is {g:.3g} m/s², expected {EARTH_G[0]} to {EARTH_G[1]}")
+    far = sum(
+        float(np.linalg.norm(place[:3, 3])) for place in (*(j.origin for j in machine.joints), machine.tip_in_link)
+    )
+    far += sum(max(abs(j.limits.lower), abs(j.limits.upper)) for j in machine.joints if j.prismatic and j.limits)
+    centres = [(f"com of joint '{joint.name}'", joint.com) for joint in machine.joints]
+    for what, place in [*centres, ("the origin of force_sensor", machine.sensor_in_link[:3, 3])]:
+        if (away := float(np.linalg.norm(place))) > max(far, LEAST_FAR_M):
+            said.append(
+                f"{what} is {away:.3g} m off its frame, the whole machine reaches {far:.3g} m: are these millimetres?"
+            )
+    heavy = [joint for joint in machine.joints if joint.mass > HEAVY_KG]
+    said += [f"mass of joint '{joint.name}' is {joint.mass:.3g} kg: are these grams?" for joint in heavy]
+    sigmas = (("repeatability", machine.repeatability or 0.0), ("position_sigma", machine.tracker.position_sigma))
+    return said + [f"{what} is {size:.3g} m: are these millimetres?" for what, size in sigmas if size > COARSE_M]
 
 
 def _lengths(machine: Machine) -> Iterator[tuple[str, float]]:
     """What a machine file gives in metres."""
     for joint in machine.joints:
         yield f"joint '{joint.name}': an origin", float(np.abs(joint.origin[:3, 3]).max())
-        yield f"joint '{joint.name}': a centre of mass", float(np.abs(joint.com).max())
         if joint.prismatic and joint.limits is not None:
             yield f"joint '{joint.name}': a travel", joint.limits.upper - joint.limits.lower
     for name, place in {**machine.targets, **machine.points}.items():

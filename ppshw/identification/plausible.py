@@ -16,6 +16,7 @@ from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import frames, point_positions, tip_poses
 from ppshw.machine import RADIUS_986, Machine
+from ppshw.machine import doubts as doubts_of_file
 from ppshw.quantities import distance
 from ppshw.recording import Recording, directions, listed
 from ppshw.statics import gravity_in_sensor
@@ -36,8 +37,6 @@ KELVIN_C, FAHRENHEIT_C = 200.0, 45.0  # no machine is measured so warm, and in n
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 # Noise at the reflectors of 110 recordings with all their columns was 0.9 to 4.1 times the stated repeatability's rms.
 NOISIER = 6.0
-# What stands in a machine file beyond these was meant in other units: ours.
-EARTH_G, LEAST_FAR_M, HEAVY_KG, COARSE_M = (9.5, 10.1), 5.0, 1e5, 5e-3
 ROUNDS = 20
 BLOCK = 4096
 # A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that; and
@@ -131,30 +130,9 @@ def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
     return wrong
 
 
-def doubts_of_file(machine: Machine) -> list[str]:
-    """What is odd about a machine file that can be used even so, each in a line."""
-    said, g = [], float(np.linalg.norm(machine.gravity))
-    if g and not EARTH_G[0] <= g <= EARTH_G[1]:
-        said.append(f"gravity is {g:.3g} m/s², expected {EARTH_G[0]} to {EARTH_G[1]}")
-    chain = [*(j.origin for j in machine.joints), machine.tip_in_link]
-    far = sum(float(np.linalg.norm(place[:3, 3])) for place in chain)
-    far += sum(max(abs(j.limits.lower), abs(j.limits.upper)) for j in machine.joints if j.prismatic and j.limits)
-    lengths = [(f"com of joint '{joint.name}'", joint.com) for joint in machine.joints]
-    for what, place in [*lengths, ("the origin of force_sensor", machine.sensor_in_link[:3, 3])]:
-        if (away := float(np.linalg.norm(place))) > max(far, LEAST_FAR_M):
-            said.append(
-                f"{what} is {away:.3g} m off its frame, the whole machine reaches {far:.3g} m: are these millimetres?"
-            )
-    heavy = [joint for joint in machine.joints if joint.mass > HEAVY_KG]
-    said += [f"mass of joint '{joint.name}' is {joint.mass:.3g} kg: are these grams?" for joint in heavy]
-    sigmas = (("repeatability", machine.repeatability or 0.0), ("position_sigma", machine.tracker.position_sigma))
-    said += [f"{what} is {size:.3g} m: are these millimetres?" for what, size in sigmas if size > COARSE_M]
-    return [f"{machine.file}: {line}" for line in said]
-
-
 def doubts(machine: Machine, recording: Recording) -> list[str]:
     """What is odd about a recording, or its machine's file, that can be used even so, each in a line."""
-    said = doubts_of_file(machine)
+    said = [f"{machine.file}: {line}" for line in doubts_of_file(machine)]
     if recording.copies:
         said.append(
             f"{len(recording.copies)} visits read the same as an earlier one to the last digit "

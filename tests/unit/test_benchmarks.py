@@ -19,7 +19,6 @@ ROOT = Path(__file__).parents[2]
         ("peers", ["| ppshw |", "µs per pose"]),
         ("identify", ["bare gelsd", "ms per visit"]),
         ("compensate", ["ordinary scheduling", "In bulk"]),
-        ("accuracy", ["| 67 |", "noise alone"]),
         ("coverage", ["| 100 |", "log score"]),
         ("noise_forms", ["| pps | each its own |", "chosen"]),
         ("designed", ["| designed, 12 |", "noise alone"]),

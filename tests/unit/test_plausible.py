@@ -14,8 +14,9 @@ from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import doubts, doubts_of_file, misread, rests_off, without_gross_errors
+from ppshw.identification.plausible import doubts, misread, rests_off, without_gross_errors
 from ppshw.machine import Machine, load_machine
+from ppshw.machine import doubts as doubts_of_file
 from ppshw.recording import Recording, load_recording
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
