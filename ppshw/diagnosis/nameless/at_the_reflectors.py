@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, read_channels, temperature_places
+from ppshw.diagnosis.library.sampled import LAGS_H, moving_joints, nobody_knows, read_channels, temperature_places
 from ppshw.diagnosis.nameless.rival import late_columns, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -71,8 +71,12 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
         ]
         yield replace(rival(c, None, None, names, bends), covariate=f"distance × {' × '.join(names)}")
     yield Candidate("nameless", None, None, None, "distance", tuple(_stretched({})))
-    ways_to_shift: list[tuple[str, dict[str, str], str, Mapping[str, object]]] = [
-        *((f"temp_{place}_C", {"place": place}, "temperature", {"place": place, "tau": 0.0}) for place in warm),
+    lags = [(place, {"place": place, "tau": tau}) for place in warm for tau in LAGS_H[:-1]]
+    ways_to_shift: list[tuple[str, Mapping[str, object], str, Mapping[str, object]]] = [
+        *(
+            (f"late_{by['tau']:g}_temp_{place}_C" if by["tau"] else f"temp_{place}_C", by, "temperature", by)
+            for place, by in lags
+        ),
         *((name, {"name": name}, "covariate", {"name": name}) for name in nobody_knows(c)),
     ]
     for name, how, function, args in ways_to_shift:
@@ -83,7 +87,7 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
             yield replace(rival(c, None, None, (name,), columns), covariate=f"distance × {name}")
 
 
-def _stretched(by: dict[str, str]) -> list[Column]:
+def _stretched(by: Mapping[str, object]) -> list[Column]:
     """Every way in which the space around the instrument may be stretched or sheared."""
     pairs = itertools.combinations_with_replacement(range(3), 2)
     return [Column("points", "strain", {"first": a, "second": b, **by}) for a, b in pairs]

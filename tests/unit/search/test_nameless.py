@@ -403,3 +403,13 @@ def test_a_joint_that_stood_at_a_few_places_has_no_waves_that_could_be_told_apar
 
     assert all("yaw" in names for names in waving(space.context))
     assert waving(few) == [names - {"yaw"} for names in waving(space.context)]
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.5])
+def test_a_scale_that_follows_the_air_late_is_no_growth_where_scales_have_no_name(space: Workspace, tau: float) -> None:
+    """It was of the first rails (another author's 37059): growth lags, space that is stretched did not."""
+    column = Column("points", "scale", {"place": "air", "tau": tau})
+    there = moved_by(space, column, 3.0)
+    found, tried = look(there, ["thermal_growth", "drift"], without=["tracker_scale"])
+    assert {f.name for f in found} == {("nameless", None)}
+    assert best_of(tried, found[0]).covariate.startswith("distance × ")
