@@ -257,7 +257,12 @@ def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> Non
 
 @pytest.mark.parametrize(
     ("off", "known_to"),  # [m], of each reflector the same turn of x, y, z
-    [((0.0, 0.0, 0.0), (5e-6, 5e-6)), ((2e-5, 3e-5, 1.5e-5), (1e-5, 4e-5)), ((0.0, 0.0, 3e-4), (5e-6, 1e-5))],
+    [
+        ((0.0, 0.0, 0.0), (5e-6, 5e-6)),
+        ((2e-5, 3e-5, 1.5e-5), (1e-5, 4e-5)),
+        ((0.0, 0.0, 3e-4), (5e-6, 1e-5)),
+        ((0.0, 1.7e-4, 0.0), (5e-6, 1e-5)),
+    ],
 )
 def test_reflectors_say_how_well_they_are_known_but_for_one_that_moved(
     space: Workspace, off: tuple[float, ...], known_to: tuple[float, float]
