@@ -259,7 +259,7 @@ def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> Non
     ("off", "known_to"),  # [m], of each reflector the same turn of x, y, z
     [
         ((0.0, 0.0, 0.0), (5e-6, 5e-6)),
-        ((2e-5, 3e-5, 1.5e-5), (1e-5, 4e-5)),
+        ((5e-5, 6e-5, 4e-5), (2e-5, 4e-5)),
         ((0.0, 0.0, 3e-4), (5e-6, 1e-5)),
         ((0.0, 1.7e-4, 0.0), (5e-6, 1e-5)),
     ],
@@ -276,6 +276,7 @@ def test_reflectors_say_how_well_they_are_known_but_for_one_that_moved(
     there = prepare(space.machine, replace(space.recording, points=points), space.fit)
     least, most = known_to
     assert least <= there.base.groups["target"] <= most
+    assert (there.reflectors_off is None) == (most < 2e-5)  # what is said of them
 
 
 def test_a_reflector_displaced_from_the_start_is_sought_though_one_direction_never_shows(space: Workspace) -> None:
