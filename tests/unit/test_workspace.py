@@ -256,22 +256,21 @@ def test_a_misread_force_bends_what_it_would_by_statics(space: Workspace) -> Non
 
 
 @pytest.mark.parametrize(
-    ("off", "known_to"),  # [m], of each reflector the same turn of x, y, z
+    ("off", "known_to"),  # (3, 3) where each reflector is off the file's place, end-effector axes [m]
     [
-        ((0.0, 0.0, 0.0), (5e-6, 5e-6)),
-        ((5e-5, 6e-5, 4e-5), (2e-5, 4e-5)),
-        ((0.0, 0.0, 3e-4), (5e-6, 1e-5)),
-        ((0.0, 1.7e-4, 0.0), (5e-6, 1e-5)),
+        (np.zeros((3, 3)), (5e-6, 5e-6)),
+        (2.5e-5 * np.random.default_rng(4).normal(size=(3, 3)), (2e-5, 4e-5)),
+        (np.diag([0.0, 1.0, 0.0]) * 1.7e-4, (5e-6, 1e-5)),
+        (np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.4e-4, -2.2e-4, 1.5e-4]]), (5e-6, 1e-5)),
     ],
 )
 def test_reflectors_say_how_well_they_are_known_but_for_one_that_moved(
-    space: Workspace, off: tuple[float, ...], known_to: tuple[float, float]
+    space: Workspace, off: np.ndarray, known_to: tuple[float, float]
 ) -> None:
     """A scale stood beside play where a site's reflectors were 3 to 30 µm off (another author's 36010)."""
-    ways = [(0.6, -0.48, 0.64), (-0.64, 0.6, 0.48), (0.48, 0.64, -0.6)]
-    assert len(space.recording.target_names) == len(ways)
+    assert len(space.recording.target_names) == len(off)
     nominal = tip_poses(space.machine, space.recording.q)[:, :3, :3]
-    shift = np.stack([nominal @ (size * np.array(way)) for size, way in zip(off, ways, strict=True)], axis=1)
+    shift = np.stack([nominal @ each for each in off], axis=1)
     points = space.recording.points + shift @ space.base.measuring_in_base[:3, :3]
     there = prepare(space.machine, replace(space.recording, points=points), space.fit)
     least, most = known_to
