@@ -126,14 +126,12 @@ def last_visit(file: RecordingFile) -> dict[str, str]:
 def put_on_since(file: RecordingFile, load: str) -> tuple[float, Array | None] | None:
     """When a load was put on that no visit was measured under since, and lies there still [s since 1970], and what the
     force sensor read before that (6,); None where the log knows of no such change."""
-    ended, since, read, before = last_visit(file)["time"], None, None, None
+    last, since, read, before = last_visit(file), None, None, None
+    lies = last["load"]
     for time, kind, _, data in file.events():
         if kind == "baseline":
             read = np.array(data["wrench"], dtype=float)
-        elif kind == "load change" and time > ended:
-            if data["name"] != load:
-                since = None
-            elif since is None:  # one that a resumed run asked for again lay there
-                asked, answered = (datetime.fromisoformat(t).timestamp() for t in (data["asked"], time))
-                since, before = 0.5 * (asked + answered), read
-    return None if since is None else (since, before)
+        elif kind == "load change" and time > last["time"] and data["name"] != lies:  # else a resumed run asked again
+            asked, answered = (datetime.fromisoformat(t).timestamp() for t in (data["asked"], time))
+            lies, since, before = data["name"], 0.5 * (asked + answered), read
+    return (since, before) if since is not None and lies == load else None

@@ -217,9 +217,8 @@ def doubts(machine: Machine) -> list[str]:
     g = float(np.linalg.norm(machine.gravity))
     if g and not EARTH_G[0] <= g <= EARTH_G[1]:
         said.append(f"gravity is {g:.3g} m/s², expected {EARTH_G[0]} to {EARTH_G[1]}")
-    far = sum(
-        float(np.linalg.norm(place[:3, 3])) for place in (*(j.origin for j in machine.joints), machine.tip_in_link)
-    )
+    chain = [*(j.origin for j in machine.joints), machine.tip_in_link]
+    far = sum(float(np.linalg.norm(place[:3, 3])) for place in chain)
     far += sum(max(abs(j.limits.lower), abs(j.limits.upper)) for j in machine.joints if j.prismatic and j.limits)
     centres = [(f"com of joint '{joint.name}'", joint.com) for joint in machine.joints]
     for what, place in [*centres, ("the origin of force_sensor", machine.sensor_in_link[:3, 3])]:
