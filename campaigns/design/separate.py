@@ -267,18 +267,7 @@ def _columns(
                which shows forms that nothing asked for until now
     shown      the forms that were found, if any: these compete
     """
-    every = [k for k in library(rich) if not _at_a_moment(k)] + [k for k in library(now) if _at_a_moment(k)]
-    forms: dict[Name, list[Candidate]] = {}
-    for effect in wanted.effects:
-        mine = [k for k in every if k.effect == effect]
-        if not mine:
-            known = sorted({k.effect for k in every})
-            raise CampaignError(
-                f"--to-separate: '{effect}' has no form that these visits could show (there are: {', '.join(known)})"
-            )
-        for k in thinned(mine, most)[0]:
-            forms.setdefault((effect, k.joint), []).append(k)
-    forms = {name: [k for k, _ in shown[name]] for name in shown} or forms
+    forms = {name: [k for k, _ in best] for name, best in shown.items()} or _middling(now, rich, wanted, most)
     a, b = wanted.effects
     met = [
         (one, two) for one in forms if one[0] == a for two in forms if two[0] == b
@@ -308,6 +297,25 @@ def _columns(
                 row[[at[c.key] for c in k.columns]] = coefficients
             pairs.append(_Pair(of, by, each, np.array(rivals), bool(shown)))
     return columns, pairs
+
+
+def _middling(now: Context, rich: Context, wanted: Wanted, most: int) -> dict[Name, list[Candidate]]:
+    """At most so many forms of each name, drawn evenly; now, rich as in `_columns`.
+
+    Raises CampaignError where an effect has none.
+    """
+    every = [k for k in library(rich) if not _at_a_moment(k)] + [k for k in library(now) if _at_a_moment(k)]
+    forms: dict[Name, list[Candidate]] = {}
+    for effect in wanted.effects:
+        mine = [k for k in every if k.effect == effect]
+        if not mine:
+            known = sorted({k.effect for k in every})
+            raise CampaignError(
+                f"--to-separate: '{effect}' has no form that these visits could show (there are: {', '.join(known)})"
+            )
+        for k in thinned(mine, most)[0]:
+            forms.setdefault((effect, k.joint), []).append(k)
+    return forms
 
 
 def _at_a_moment(candidate: Candidate) -> bool:
