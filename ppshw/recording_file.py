@@ -233,12 +233,15 @@ def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str]) -> None
 
 class _transaction:
     """BEGIN IMMEDIATE … COMMIT, or ROLLBACK when anything goes wrong inside or with COMMIT itself. SQLite takes back by
-    itself what a full disk has cut short, and has nothing to roll back then."""
+    itself what a full disk has cut short, and has nothing to roll back then. A Ctrl-C that comes between BEGIN and what
+    it is for leaves it open: the next one takes it back."""
 
     def __init__(self, db: sqlite3.Connection) -> None:
         self._db = db
 
     def __enter__(self) -> None:
+        if self._db.in_transaction:
+            self._db.execute("ROLLBACK")
         self._db.execute("BEGIN IMMEDIATE")
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sqlite3
 import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,6 +141,39 @@ def test_a_visit_is_committed_with_its_shots_or_not_at_all(tmp_path: Path) -> No
         assert file.done() == {7}
         again = file.append({"q": "0.7"}, 7, [("P3", {})], again=True)  # unless it is asked to be
         assert (file.done(), file.shots(again), file.table()[1]) == ({7}, [("P3", {})], (("", "0.7"),))
+
+
+class _Interrupted:
+    """A connection whose first BEGIN is followed by the operator's Ctrl-C."""
+
+    def __init__(self, db: sqlite3.Connection) -> None:
+        self._db, self._begun = db, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._db, name)
+
+    def execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        cursor = self._db.execute(statement, *values)
+        if statement.startswith("BEGIN") and not self._begun:
+            self._begun = True
+            raise KeyboardInterrupt
+        return cursor
+
+
+def test_an_interrupt_between_begin_and_a_visit_leaves_the_recording_open_to_what_is_logged_next(
+    tmp_path: Path,
+) -> None:
+    """Found by a run under load that was told to end: its event log lacked that it had been stopped."""
+    with RecordingFile.create(tmp_path / "r.db", ["cmd_a", "approach_a", "sphere_x"], {}) as file:
+        file.append({"cmd_a": "1"}, plan_index=0)
+        file._db = _Interrupted(file._db)  # type: ignore[assignment]
+        with pytest.raises(KeyboardInterrupt) as interrupted:
+            file.append({"cmd_a": "2"}, plan_index=1)
+        file.log("2026-01-01T00:00:00.000+00:00", "stopped", "interrupted")
+        assert interrupted.value is not None  # alive meanwhile, with all that it holds, as where it is handled
+    with RecordingFile.open(tmp_path / "r.db") as file:
+        assert [kind for _, kind, _, _ in file.events()] == ["stopped"]
+        assert file.done() == {0}
 
 
 def test_a_full_disk_is_named_and_costs_nothing_that_was_there(tmp_path: Path) -> None:
