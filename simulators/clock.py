@@ -28,7 +28,7 @@ class SteppedClock:
     def __init__(self, start: datetime = START, grace: float = 0.25) -> None:
         self._start = start
         self._now = 0.0
-        self._grace = grace
+        self.grace = grace
         self._lock = threading.RLock()
         self._ticket = itertools.count()
         self._due: list[tuple[float, int, float | None, Callable[[], None]]] = []
@@ -63,12 +63,12 @@ class SteppedClock:
                 self._advance_to(min(deadline, self._next_due(deadline)))
             finally:
                 condition.acquire()
-            if condition.wait_for(predicate, self._grace / SLICES):
+            if condition.wait_for(predicate, self.grace / SLICES):
                 return True
         return self._wait_in_slices(condition, predicate)
 
     def _wait_in_slices(self, condition: threading.Condition, predicate: Callable[[], bool]) -> bool:
-        return any(condition.wait_for(predicate, self._grace / SLICES) for _ in range(SLICES))
+        return any(condition.wait_for(predicate, self.grace / SLICES) for _ in range(SLICES))
 
     def _next_due(self, default: float) -> float:
         with self._lock:
