@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, coefficients, moved_by
+from ppshw.diagnosis.found import Found, by_its_own_form, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
@@ -38,6 +38,7 @@ UNITS = {
 ABOUT = 0.2
 NEARLY_TWICE = 0.2  # by which a component's error may differ from twice what it reads
 WEIGHT_TOLD = 0.1  # on the terminal
+LITTLE_SHOWS = 0.5  # of an effect's size: where a base calibration leaves less, that is said
 LEAST_P = 1e-12
 
 
@@ -45,9 +46,8 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
     """One finding of the contract's §4; `space` has all findings taken up. Parameters are of its first piece, its size
     is that of all."""
     candidate = tried.candidates[found.best]
-    rms = coefficients(space, candidate, found)[2]
-    if pieces:
-        rms = space.rms(np.sum([moved_by(space, tried.candidates[g.best], g) for g in (found, *pieces)], axis=0))
+    moved = np.sum([moved_by(space, tried.candidates[g.best], g) for g in (found, *pieces)], axis=0)
+    rms, beyond = space.rms(moved), space.rms(space.beyond(moved))
     values, covariance = by_its_own_form(space, candidate, found)
     if found.pulled is not None:
         covariance = covariance + found.pulled @ found.pulled.T
@@ -71,10 +71,11 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         "parameters": numbers_of(space.context, candidate, values, covariance, found.spread),
         "p_value": found.p,
         "rms_mm": rms * 1e3,
+        "beyond_base_mm": beyond * 1e3,
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
         "aliases": [alias.as_dict() for alias in aliases],
-        "sentence": sentence(space.context, candidate, values, rms)
+        "sentence": sentence(space.context, candidate, values, rms, beyond)
         + _and_in(tried, candidate, pieces)
         + alias_words(found.name, aliases),
     }
@@ -224,10 +225,13 @@ def _region(space: Workspace, covariate: str) -> list[float] | None:
     return [float(np.nanmin(values)), float(np.nanmax(values))]
 
 
-def sentence(c: Context, candidate: Candidate, values: Array, rms: float) -> str:
-    """Values (k,) of a candidate's own columns, and the rms of all it may be like [m]."""
+def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond: float | None = None) -> str:
+    """Values (k,) of a candidate's own columns, the rms of all it may be like, and of that what a base calibration does
+    not take [m]."""
     values = values * along_its_axis(c, candidate)
     joint, size = candidate.joint, f"{rms * 1e3:.3f} mm rms at the reflectors"
+    if beyond is not None and beyond < LITTLE_SHOWS * rms:
+        size += f", of which a base calibration leaves {beyond * 1e3:.3f} mm"
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
     amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_pressed(candidate, values, unit)}"

@@ -52,6 +52,8 @@ def test_lost_motion_is_named_and_unseen_visits_get_better(tmp_path: Path, capsy
     assert first["joint"] == truth["effects"][0]["joint"]
     assert first["p_value"] < 1e-3
     assert 0 < first["weight"] <= 1
+    rms_mm = truth["effects"][0]["rms_mm"]
+    assert 0.2 * rms_mm < first["beyond_base_mm"] < first["rms_mm"] < 2 * rms_mm
     assert answer["held_out"]["rms_after_mm"] < answer["held_out"]["rms_before_mm"]
     arguments = [str(case / "recording.csv"), "--machine", str(case / "machine.yaml")]
     assert main(["identify", *arguments, "--out", str(tmp_path / "base.json")]) == 0

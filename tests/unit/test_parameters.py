@@ -44,6 +44,10 @@ def test_a_drift_is_said_as_how_far_it_goes_each_way(space: Workspace) -> None:
     assert said["change_ty"]["value"] == 0.0
     assert abs(said["change_tz"]["value"]) == pytest.approx(4e-5, rel=1e-3)
     assert "moves slowly with time, by 0.120 mm along x, as if" in sentence(c, wanders, values, 1e-4)
+    assert sentence(c, wanders, values, 1e-4, 4.9e-5).endswith(
+        "(0.100 mm rms at the reflectors, of which a base calibration leaves 0.049 mm)."
+    )
+    assert "leaves" not in sentence(c, wanders, values, 1e-4, 5.1e-5)  # most of it shows
 
 
 def test_a_drift_that_shifts_and_turns_says_both(space: Workspace) -> None:
