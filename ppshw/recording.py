@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NoReturn
 
@@ -33,6 +34,7 @@ LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there
 SAID = 12  # visits by their numbers
+NEARLY_CALLED = 0.85  # of the letters of two columns' names
 # A thermometer does not leap by so much, nor by so many times what it mostly changes from visit to visit, and is back
 # after a visit or two; if it says so at more than this share of visits, the air did. Ours.
 SPIKE_C, SPIKE, SPIKES, FEWEST_READ = 5.0, 20.0, 0.02, 10
@@ -87,6 +89,7 @@ class Recording:
     sha256       of the canonical CSV text, the same for both forms
     copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
                  instrument repeats itself so, and a row that stands there twice is one reading
+    misspelt     column that nothing reads → the one that it is nearly called, which is not there
     """
 
     joint_names: tuple[str, ...]
@@ -108,6 +111,7 @@ class Recording:
     sha256: str
     copies: tuple[int, ...] = ()
     spikes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    misspelt: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -257,6 +261,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
         copies=tuple(copies.tolist()),
         spikes={place: tuple(visits.tolist()) for place, visits in spikes.items()},
+        misspelt=_misspelt(cells.names, machine),
     )  # fmt: skip
 
 
@@ -312,6 +317,22 @@ def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
         raise RecordingError(
             f"{cells.source}: column {strange[0]} is of no joint of machine '{machine.name}', expected {missing[0]}"
         )
+
+
+def _misspelt(names: Sequence[str], machine: Machine) -> dict[str, str]:
+    """Columns that nobody reads and that are nearly called like one that is not there, or begin as thermometers do:
+    they are optional, so that what they say would be left out in silence."""
+    known = columns_for(machine, extra_points=tuple(machine.points))
+    absent = {name.casefold(): name for name in known if name not in names}
+    out = {}
+    for name in names:
+        if name in known or name.startswith("cov_") or (name.startswith("temp_") and name.endswith("_C")):
+            continue
+        if near := get_close_matches(name.casefold(), absent, n=1, cutoff=NEARLY_CALLED):
+            out[name] = absent[near[0]]
+        elif name.casefold().startswith("temp"):
+            out[name] = "temp_<place>_C"
+    return out
 
 
 def _check_limits(cells: _Cells, machine: Machine, q_cmd: Array) -> None:

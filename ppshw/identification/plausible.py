@@ -139,6 +139,10 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"({listed(recording.copies)}): are these rows copies?"
         )
     said += [
+        f"column {name} is read by nothing: is it {meant}, which is not there?"
+        for name, meant in recording.misspelt.items()
+    ]
+    said += [
         f"temp_{place}_C leaps at {len(visits)} visit{'s' * (len(visits) > 1)} ({listed(visits)}) and is back at once: "
         "taken for empty there"
         for place, visits in recording.spikes.items()

@@ -47,6 +47,25 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_optional_columns_that_are_misspelt_are_asked_about(tmp_path: Path) -> None:
+    """Nobody was told that approach_trun, an optional column, was no column."""
+    recording = read(
+        tmp_path,
+        "q_cmd_rail,q_rail,q_cmd_turn,approach_rail,approach_trun,SETTLE_S,fx,temp_air,Temperature,cov_aproach_turn,"
+        "temp_motor_C,note,P1_x,P1_y,P1_z,P4_x",
+        "0.1,0.1,0.2,1,-1,5,7,20,20,1,21,on,1,2,3,4",
+    )
+    assert recording.misspelt == {
+        "approach_trun": "approach_turn", "SETTLE_S": "settle_s", "fx": "Fx", "temp_air": "temp_<place>_C",
+        "Temperature": "temp_<place>_C",
+    }  # fmt: skip
+    said = doubts(load_machine(tmp_path / "m.yaml"), recording)
+    assert "column approach_trun is read by nothing: is it approach_turn, which is not there?" in said
+    assert read(tmp_path, ",".join(columns_for(load_machine(tmp_path / "m.yaml"))), *[",".join(
+        ["2026-01-01T00:00:00Z", "s", "l", *["0"] * 7, *["0"] * 15]
+    )]).misspelt == {}  # fmt: skip
+
+
 def test_directions_that_are_all_0_are_those_of_the_moves_between_visits(tmp_path: Path) -> None:
     header = "q_rail,q_turn,approach_rail,approach_turn,P2_x,P2_y,P2_z"
     found = read(tmp_path, header, "0.1,0.2,0,0,1,2,3", "0.3,0.1,0,1,4,5,6")
