@@ -20,7 +20,7 @@ from ppshw.machine import doubts as doubts_of_file
 from ppshw.quantities import distance
 from ppshw.recording import Recording, directions, listed
 from ppshw.statics import gravity_in_sensor
-from ppshw.terms.history import payloads, weighs
+from ppshw.terms.history import payloads, unseen_moment, weighs
 from ppshw.transforms import fit_rigid
 
 Array = NDArray[np.float64]
@@ -116,12 +116,18 @@ def misread(machine: Machine, recording: Recording) -> NDArray[np.bool_]:
 
 
 def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
-    """(K,) which wrenches (K, 6) are far from those of the rigid payload that the others say."""
+    """(K,) which wrenches (K, 6) are far from those of the rigid payload that the others say. How high its centre of
+    mass is only visits at other tilts say: what a height may do to a moment is no reason."""
     wrong = np.zeros(len(wrench), dtype=bool)
     for _ in range(ROUNDS):
         held = payloads(wrench[~wrong], ("",) * int((~wrong).sum()), gravity[~wrong])[:1]
+        unseen = unseen_moment(gravity[~wrong])
         before, wrong = wrong, np.zeros(len(wrench), dtype=bool)
         beside = wrench - weighs(held, gravity)
+        if len(unseen):
+            by_height = np.cross(unseen, gravity)
+            by_height /= np.maximum(np.linalg.norm(by_height, axis=1, keepdims=True), 1e-12)
+            beside[:, 3:] -= (beside[:, 3:] * by_height).sum(axis=1, keepdims=True) * by_height
         for rest, least in ((beside[:, :3], LOADED_N), (beside[:, 3:], LOADED_NM)):
             size = np.linalg.norm(rest, axis=1)
             wrong |= size > max(least, GROSS * float(np.median(size)))

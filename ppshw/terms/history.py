@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ppshw.recording import STANDSTILL
 
 Array = NDArray[np.float64]
+UNSEEN = 1e-2  # of the largest singular value: along gravity that hardly turns a first moment does nothing
 FORGOTTEN_H = 8.0  # when creep with the logarithm of time is taken to have ended; a guess: a shift
 
 
@@ -146,9 +147,15 @@ def payloads(wrench: Array, load: tuple[str, ...], gravity: Array) -> Array:
         mine = labels == label
         g = gravity[mine]
         mass = float((g * wrench[mine, :3]).sum() / max(float((g**2).sum()), 1e-30))
-        moment = np.linalg.lstsq(_minus_cross(g).reshape(-1, 3), wrench[mine, 3:].ravel(), rcond=1e-2)[0]
+        moment = np.linalg.lstsq(_minus_cross(g).reshape(-1, 3), wrench[mine, 3:].ravel(), rcond=UNSEEN)[0]
         out[mine] = np.concatenate([[mass], moment])
     return out
+
+
+def unseen_moment(gravity: Array) -> Array:
+    """(3,) unit vector along which gravity (N, 3) tells nothing of a first moment, as `payloads` takes it, or (0,)."""
+    _, size, directions = np.linalg.svd(_minus_cross(gravity).reshape(-1, 3), full_matrices=False)
+    return np.asarray(directions[-1] if size[-1] < UNSEEN * size[0] else directions[0, :0])
 
 
 def weighs(held: Array, gravity: Array) -> Array:
@@ -167,7 +174,7 @@ def beside_payloads(wrenches: Array, load: tuple[str, ...], gravity: Array) -> A
         mass = np.einsum("nb,knb->k", g, some[..., :3]) / max(float((g**2).sum()), 1e-30)
         out[:, mine, :3] -= mass[:, None, None] * g
         turns = _minus_cross(g).reshape(-1, 3)
-        moment = some[..., 3:].reshape(len(some), -1) @ np.linalg.pinv(turns, rcond=1e-2).T
+        moment = some[..., 3:].reshape(len(some), -1) @ np.linalg.pinv(turns, rcond=UNSEEN).T
         out[:, mine, 3:] -= (moment @ turns.T).reshape(len(some), -1, 3)
     return out
 

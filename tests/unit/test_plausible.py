@@ -88,6 +88,26 @@ def test_a_misread_wrench_spoils_nothing_but_its_own_visit(measured: tuple[Machi
     )
 
 
+def test_one_visit_at_another_tilt_is_not_misread_as_only_it_says_how_high_the_load_is(
+    measured: tuple[Machine, Recording], tmp_path: Path
+) -> None:
+    """Another author's clean recording: a load that a sweep of a linear axis bore, and one pose that is tilted."""
+    (tmp_path / "t.yaml").write_text(MACHINE.replace("axis: [0, 0, 1]", "axis: [0, 1, 0]"), encoding="utf-8")
+    machine, recording = load_machine(tmp_path / "t.yaml"), measured[1]
+    rng, n = np.random.default_rng(1), len(recording)
+    tilt = np.where(np.arange(n) == 7, 0.05, 0.1)
+    g = np.column_stack([9.80665 * np.sin(tilt), np.zeros(n), -9.80665 * np.cos(tilt)])  # in the sensor
+    wrench = np.concatenate([60 * g, np.cross(60 * np.array([0.1, 0.0, 0.6]), g)], axis=1)
+    wrench += rng.normal(0, [0.3, 0.3, 0.3, 0.05, 0.05, 0.05], (n, 6))
+    q = np.column_stack([recording.q[:, 0], tilt])
+    hung = replace(recording, q=q, wrench=wrench, load=("box",) * n)
+    assert not misread(machine, hung).any()
+    for column, off in ((0, 30.0), (3, 8.0), (5, 8.0)):  # what no height can do
+        wrong = wrench.copy()
+        wrong[7, column] += off
+        assert np.flatnonzero(misread(machine, replace(hung, wrench=wrong))).tolist() == [7]
+
+
 def test_loads_that_are_not_single_rows_or_have_no_label_are_not_misread(measured: tuple[Machine, Recording]) -> None:
     machine, recording = measured
     wrench = recording.wrench.copy()
