@@ -60,7 +60,12 @@ def of_its_kind(
             if named.joint is None:  # every link grows
                 return named.covariate in plain and all(k == named.covariate or k.startswith("q_") for k in plain)
             there = rival.frame == named.frame or _alike(named, rival, parallel)
+            there |= _only_shifts(named, parallel) and any(k.on == "frame" and k.frame == 0 for k in rival.columns)
             return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+        case "tracker_scale":  # about wherever the instrument stands
+            scales = [column for column in rival.columns if column.function == "scale"]
+            elsewhere = [column for column in rival.columns if column.on == "frame" and column.frame == 0]
+            return bool(scales) and len(scales) + len(elsewhere) == len(rival.columns)
         case "periodic_transmission":  # a band of waves over its own position, its own among them
             return here and over == {named.covariate} and all(column.function == "wave" for column in rival.columns)
         case "target_moved":
@@ -123,6 +128,13 @@ def _alike(named: Candidate, rival: Candidate, parallel: Collection[str]) -> boo
     """Whether both are shifts, of frames that never turn against the base."""
     shifts = not any((k.component or "").startswith("r") for k in (named, rival))
     return shifts and {rival.frame, named.frame} <= set(parallel)
+
+
+def _only_shifts(named: Candidate, parallel: Collection[str]) -> bool:
+    """Whether growth does nothing but shift frames that never turn: what the base may do as well, beside anything."""
+    if all(column.function == "link_growth" for column in named.columns):  # of a link, before its joint turns
+        return all(0 <= column.args["joint"] < len(parallel) for column in named.columns)
+    return named.frame in parallel and not (named.component or "r").startswith("r")
 
 
 def never_turned(machine: Machine) -> list[str]:

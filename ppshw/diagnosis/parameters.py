@@ -255,7 +255,8 @@ def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
         names = ["half_slack"]
     elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
         names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
-        units = [_per_load(unit, candidate.covariate)] * len(values)
+        of_a_bearing = candidate.columns[0].function == "bearing"
+        units = [_per_load("rad" if of_a_bearing else unit, candidate.covariate)] * len(values)
         if candidate.covariate == "load":  # in all directions, each by its own
             ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
             names = [f"compliance_{component}_by_{load}" for component, load in ways]
@@ -332,6 +333,10 @@ def misread_unit(args: Mapping[str, Any]) -> str:
 def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
     if candidate.columns[0].function == "own_bend":
         return ["own_weight_share"], ["1"]
+    if candidate.joint is None:
+        return [f"compliance_{COMPONENTS[column.component]}" for column in candidate.columns], ["rad/(N m)"] * len(
+            candidate.columns
+        )
     if candidate.columns[0].function != "body_weight":
         return ["compliance"], [f"{unit}/(N m)"]
     names, units = [], []
@@ -346,7 +351,7 @@ def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
 def shape_unit(c: Context, name: str, candidate: Candidate) -> str:
     if name.endswith(("load_width", "knee_load", "falls_at")):
         return _load_unit(candidate.covariate)
-    if name in ("width", "past", "period"):  # of the joint's own way, whichever component errs
+    if name in ("width", "past", "period", "at"):  # of the joint's own way, whichever component errs
         return c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit
     return "h" if name.endswith("_h") else "1"
 

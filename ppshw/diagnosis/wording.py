@@ -257,13 +257,14 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         f"play ({size}).",
         "cross_coupling": f"{joint}'s own error depends on {candidate.covariate} as well, "
         f"{_high(c, candidate, values, unit)}({size}).",
-        "moving_weight": f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} "
-        f"({size}).",
+        "moving_weight": f"the floor or the base tilts as the machine's own weight moves over it ({size})."
+        if joint is None
+        else f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} ({size}).",
         "wrench_error": f"the force sensor{_misreads(candidate, values)} ({size})" + _weighing(c, candidate),
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
         "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}"
-        f"{_along_its_travel(candidate)}, which its file leaves out ({size}).",
+        f"{_along_its_travel(c, candidate)}, which its file leaves out ({size}).",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
@@ -278,10 +279,16 @@ def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
     return bool(candidate.columns[0].component == own and values[0] > 0)
 
 
-def _along_its_travel(candidate: Candidate) -> str:
+def _along_its_travel(c: Context, candidate: Candidate) -> str:
     """Of a compliance whether it is one that changes along its joint's travel."""
-    changes = candidate.columns[0].function in ("load_q", "load_turn")
-    return " otherwise at one end of its travel than at the other (varies)" if changes else ""
+    function = candidate.columns[0].function
+    if function == "load_near":
+        return f" more about {candidate.shape['at']:.3g} {shape_unit(c, 'at', candidate)} than elsewhere on its travel"
+    if function == "bearing":
+        return " and the other moment more in one direction of its housing than across it"
+    return (
+        " otherwise at one end of its travel than at the other (varies)" if function in ("load_q", "load_turn") else ""
+    )
 
 
 def _period(c: Context, candidate: Candidate) -> str:

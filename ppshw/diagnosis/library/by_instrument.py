@@ -46,6 +46,18 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
             late, lag = Column("points", "scale", {"place": place, "tau": tau}), {"lag_h": tau}
             yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), lag, share=0.05 * likely)
+            shifts = tuple(Column("frame", "temperature", {"place": place, "tau": tau}, 0, comp) for comp in range(3))
+            yield Candidate(
+                "tracker_scale",
+                None,
+                None,
+                None,
+                f"temp_{place}_C",
+                (late, *shifts),
+                lag,
+                share=0.03 * likely,
+                led=True,
+            )
     for name in nobody_knows(c):  # the air's pressure or humidity, if it is that
         grows = Column("points", "scale", {"name": name})
         shifts = tuple(Column("frame", "covariate", {"name": name}, 0, comp) for comp in range(3))

@@ -36,6 +36,9 @@ FEW_BEYOND, HARDLY_CHANGES = 5, 0.03
 # that does, whose load may differ by a constant alone (three at 0.15 from each other left the right joint 7 of log
 # evidence behind the next one, a reviewer's).
 BALANCED = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+# Of a joint's travel: about which places, and up to how far from them, a link may be softer than elsewhere.
+PLACES, STRETCHES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), (0.12, 0.25)
+HALF_A_CYCLE = 1.5  # rad that a bearing turns at least, to tell its softer direction from a compliance
 
 
 def nonlinear(c: Context) -> Iterator[Candidate]:
@@ -182,7 +185,39 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
                             Column("frame", "load_turn", {**args, "order": order, "phase": phase}, frame, comp)
                             for phase in ("sin", "cos")
                         ), {}, 0.15 * share)  # fmt: skip
+            if joint is not None and np.ptp(c.recording.q[:, frame - 1]) > 0:
+                yield from _softer_over_a_stretch(c, frame, b)
+        if joint is not None and not joint.prismatic and float(np.ptp(c.recording.q[:, frame - 1])) > HALF_A_CYCLE:
+            yield from _softer_one_way(c, frame)
         acting = [b for b in loads_on(c, frame) if b not in known]
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
             yield Candidate("missing_compliance", name, there, None, "load", diagonal, {}, 2.0)
+
+
+def _softer_over_a_stretch(c: Context, frame: int, b: int) -> Iterator[Candidate]:
+    """A link that gives way more to a load where its joint stands near some place, in the load's own direction."""
+    joint = c.machine.joints[frame - 1]
+    q = c.recording.q[:, frame - 1]
+    low, travel = float(q.min()), float(np.ptp(q))
+    for part, width in itertools.product(PLACES, STRETCHES):
+        place = {"at": low + part * travel, "width": width * travel}
+        args = {"frame": frame, "component": b, "joint": frame - 1, **place}
+        yield Candidate(
+            "missing_compliance", joint.name, joint.name, COMPONENTS[b], WRENCH_COMPONENTS[b],
+            (Column("frame", "load_near", args, frame, b),), place, 0.3 / (len(PLACES) * len(STRETCHES)),
+        )  # fmt: skip
+
+
+def _softer_one_way(c: Context, frame: int) -> Iterator[Candidate]:
+    """A turning joint whose bearing gives way more to tilt in one direction of its housing."""
+    joint = c.machine.joints[frame - 1]
+    along = int(np.argmax(np.abs(joint.axis)))
+    across = [3 + k for k in range(3) if k != along and 3 + k in loads_on(c, frame)]
+    if not across:
+        return
+    columns = tuple(
+        Column("frames", "bearing", {"frame": frame, "joint": frame - 1, "phase": p}) for p in ("cos", "sin")
+    )
+    where = ("missing_compliance", joint.name, joint.name, None, WRENCH_COMPONENTS[across[0]])
+    yield Candidate(*where, columns, {}, 0.3)

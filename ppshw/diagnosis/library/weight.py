@@ -54,10 +54,14 @@ def moving_weight(c: Context) -> Iterator[Candidate]:
                 for column in hose:
                     yield Candidate("moving_weight", name, name, None, f"q_{by}", (column,), share=0.03)
                 yield Candidate("moving_weight", name, name, None, f"q_{by}", hose, share=0.05)
+    floor = tuple(bends for b in (3, 4, 5) if (bends := own_moment(c, 0, b)) is not None)
+    if floor:  # it gives way to what moves over it, not to what it always bears
+        first = c.machine.joint_names[0]
+        yield Candidate("moving_weight", None, c.machine.frame_names[0], None, f"q_{first}", floor)
     for frame, name in enumerate(c.machine.joint_names, start=1):
-        bends = Column("frames", "own_bend", {"frame": frame})  # more, or less, than the payload bends it
-        if float(np.ptp(bends.value(c)[:, frame], axis=0).max()) > LEAST_BEND:
-            yield Candidate("moving_weight", name, name, None, f"q_{name}", (bends,))
+        own = Column("frames", "own_bend", {"frame": frame})  # more, or less, than the payload bends it
+        if float(np.ptp(own.value(c)[:, frame], axis=0).max()) > LEAST_BEND:
+            yield Candidate("moving_weight", name, name, None, f"q_{name}", (own,))
         for b in range(3, 6):
             if (own_part := own_moment(c, frame, b)) is not None:
                 yield Candidate("moving_weight", name, name, COMPONENTS[b], f"q_{name}", (own_part,), {}, 0.5)

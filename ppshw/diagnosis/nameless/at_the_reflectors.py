@@ -80,7 +80,8 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
         *((name, {"name": name}, "covariate", {"name": name}) for name in nobody_knows(c)),
     ]
     for name, how, function, args in ways_to_shift:
-        stretched = _stretched(how)
+        # what lags is the air in the beam, and lengths alone: space that is sheared late would be any far shift
+        stretched = [Column("points", "scale", dict(how))] if how.get("tau") else _stretched(how)
         # about another point than where the instrument is said to stand: everything shifts as well
         shifts = [Column("frame", function, dict(args), 0, comp) for comp in range(3)]
         for columns in (stretched, [*stretched, *shifts]):

@@ -1,4 +1,4 @@
-"""Functions of a component of the wrench on a frame: (N,).
+"""Functions of a component of the wrench on a frame: (N,); of several, what they do to the frames: (N, n+1, 6).
 
 frame 0 … n (0: the base), component 0 … 5: Fx, Fy, Fz [N], Mx, My, Mz [N·m] in the frame's own axes, payload and the
 machine's own bodies together; joint 0 … n−1, its position −1 … 1 over what was sampled. A function is in the
@@ -29,11 +29,34 @@ def load_q(c: Context, frame: int, component: int, joint: int, degree: int = 1) 
     return np.asarray(c.wrenches[:, frame, component] * c.u(joint) ** degree)
 
 
+def load_near(c: Context, frame: int, component: int, joint: int, at: float, width: float) -> Array:
+    """Times a window over a joint's position [m, rad], 1 at `at` and nothing from `width` away: a spring that is softer
+    over a stretch of a travel, where a bolt is loose or a race worn."""
+    away = np.minimum(np.abs(c.recording.q[:, joint] - at) / width, 1.0)
+    return np.asarray(c.wrenches[:, frame, component] * np.cos(0.5 * np.pi * away) ** 2)
+
+
 def load_turn(c: Context, frame: int, component: int, joint: int, order: int, phase: str) -> Array:
     """A component of the wrench on a frame times sine or cosine of `order` times a joint's angle: what gives way more
     in some directions than in others."""
     angle = order * c.recording.q[:, joint]
     return np.asarray(c.wrenches[:, frame, component] * (np.sin(angle) if phase == "sin" else np.cos(angle)))
+
+
+def bearing(c: Context, frame: int, joint: int, phase: str) -> Array:
+    """(N, n+1, 6) what the moments across a turning joint's axis do behind it, per rad/(N m), if its bearing is softer
+    against tilt in one direction of its housing than across that: along two axes of the frame (phase "cos") at angle 0,
+    or between them ("sin"). The frame turns; the bearing's ring stays."""
+    axis = c.machine.joints[joint].axis
+    along = int(np.argmax(np.abs(axis)))
+    first, second = (along + 1) % 3, (along + 2) % 3
+    angle = 2.0 * c.recording.q[:, joint] * np.sign(axis[along])
+    cos, sin = (np.cos(angle), -np.sin(angle)) if phase == "cos" else (np.sin(angle), np.cos(angle))
+    moments = c.wrenches[:, frame, 3:]
+    out = np.zeros_like(c.wrenches)
+    out[:, frame, 3 + first] = cos * moments[:, first] + sin * moments[:, second]
+    out[:, frame, 3 + second] = sin * moments[:, first] - cos * moments[:, second]
+    return out
 
 
 def load_power(c: Context, frame: int, component: int, exponent: float) -> Array:
