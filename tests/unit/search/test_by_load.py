@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -420,3 +421,58 @@ def test_what_no_payload_weighs_has_no_other_s_name(tared_anew: Workspace) -> No
 
 def test_a_sensor_that_only_has_noise_is_not_asked_what_no_payload_weighs(space: Workspace) -> None:
     assert weighed(space.context) is None
+
+
+def test_a_link_that_is_softer_over_a_stretch_of_its_travel_lacks_a_compliance_there(space: Workspace) -> None:
+    """A loose bolt: where the load goes with another joint's place it was a coupling, for certain (another author's
+    38032)."""
+    c, joint = space.context, space.machine.joint_names.index("longitudinal")
+    q, load = space.recording.q[:, joint], c.wrenches[:, joint + 1, 3]
+    middle, width = float(np.quantile(q, 0.7)), 0.15 * float(np.ptp(q))
+    loose = load / (1.0 + ((q - middle) / width) ** 4)
+    moved = of_size(space, c.jacobian[:, :, joint + 1, 3] * loose[:, None], 1.5)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["missing_compliance", "cross_coupling", "moving_weight", "periodic_transmission"])
+    assert [f.name for f in found] == [("missing_compliance", "longitudinal")]
+    said = finding(there, tried, found[0])
+    assert said["parameters"]["at"]["value"] == pytest.approx(middle, abs=0.1 * float(np.ptp(q)))
+    assert said["parameters"]["at"]["unit"] == "m"
+    assert "longitudinal gives way under Mx more about " in said["sentence"]
+
+
+def test_a_bearing_that_is_softer_one_way_of_its_housing_lacks_a_compliance_that_turns(space: Workspace) -> None:
+    c, joint = space.context, space.machine.joint_names.index("yaw")
+    q, axis = space.recording.q[:, joint], space.machine.joints[joint].axis
+    along = int(np.argmax(np.abs(axis)))
+    spin = np.zeros((len(q), 3, 3))  # from the frame behind the joint to its housing
+    first, second = (along + 1) % 3, (along + 2) % 3
+    angle = q * axis[along]
+    spin[:, along, along] = 1.0
+    spin[:, first, first] = spin[:, second, second] = np.cos(angle)
+    spin[:, second, first], spin[:, first, second] = np.sin(angle), -np.sin(angle)
+    soft = np.zeros(3)
+    soft[first], soft[second] = np.cos(0.4), np.sin(0.4)  # in the housing
+    way = np.einsum("nba,b->na", spin, soft)
+    tilts = way * (way * c.wrenches[:, joint + 1, 3:]).sum(axis=1, keepdims=True)
+    moved = of_size(space, np.einsum("nra,na->nr", c.jacobian[:, :, joint + 1, 3:], tilts), 12.0)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["missing_compliance", "cross_coupling"], "yaw")
+    assert [f.name for f in found] == [("missing_compliance", "yaw")]
+    assert best_of(tried, found[0]).columns[0].function == "bearing"
+    assert "more in one direction of its housing than across it" in finding(there, tried, found[0])["sentence"]
+
+
+def test_a_floor_that_gives_way_to_the_machine_alone_is_a_moving_weight_of_the_base(tmp_path: Path) -> None:
+    """It was the base's missing compliance, which the payload would bend as well (another author's 38013)."""
+    machine, recording = clean_case(60534, "arm6", 240, 180, tmp_path)
+    space = prepare(machine, recording, np.ones(len(recording), dtype=bool))
+    c = space.context
+    own = link_wrenches(machine, c.chain, np.zeros((len(recording), 6)))[:, 0]
+    tilts = np.column_stack([own[:, 3], 0.6 * own[:, 4]])
+    moved = of_size(space, np.einsum("nra,na->nr", c.jacobian[:, :, 0, 3:5], tilts - tilts.mean(axis=0)), 20.0)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["missing_compliance", "moving_weight"])
+    assert [f.name for f in found] == [("moving_weight", None)]
+    said = finding(there, tried, found[0])
+    assert list(said["parameters"])[:2] == ["compliance_rx", "compliance_ry"]
+    assert said["sentence"].startswith("the floor or the base tilts as the machine's own weight moves over it (")

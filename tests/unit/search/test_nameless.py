@@ -324,6 +324,18 @@ def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space:
     assert said["scale_per_K"]["value"] == pytest.approx(6e-5, rel=0.2)
 
 
+def test_a_late_scale_of_an_instrument_that_stands_elsewhere_is_the_scale(space: Workspace) -> None:
+    """It was structure without a name over the air (another author's 38049)."""
+    c, args = space.context, {"place": "air", "tau": 1.0}
+    shifts = Column("frame", "temperature", args, 0, 0).evaluate(c)
+    moved = 6e-5 * (Column("points", "scale", args).evaluate(c) - 3.0 * shifts)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["tracker_scale", "drift", "thermal_growth"])
+    assert [f.name for f in found] == [("tracker_scale", None)]
+    said = finding(there, tried, found[0])["parameters"]
+    assert said["lag_h"]["value"] == 1.0
+
+
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("elsewhere", [0.0, 3.0])
 def test_a_scale_that_follows_a_pressure_is_the_scale_or_without_that_name_unexplained(
@@ -413,3 +425,20 @@ def test_a_scale_that_follows_the_air_late_is_no_growth_where_scales_have_no_nam
     found, tried = look(there, ["thermal_growth", "drift"], without=["tracker_scale"])
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariate.startswith("distance × ")
+
+
+def test_what_lags_stretches_lengths_alone_and_shifts_are_growth_too(space: Workspace) -> None:
+    """From afar sheared space is a shift: growth that lags had lost its name to that (another author's 38026)."""
+    late = [k for k in named(space, "nameless") if (k.covariate or "").startswith("distance × late_")]
+    assert {column.function for k in late for column in k.columns} == {"scale", "temperature"}
+    of_air = [k for k in named(space, "thermal_growth") if k.covariate == "temp_air_C" and k.shape["lag_h"] == 0.5]
+    shift = next(k for k in of_air if (k.joint, k.component) == ("lateral", "tz"))
+    turn = next(k for k in of_air if (k.joint, k.component) == ("lateral", "rz"))
+    link = next(
+        k for k in of_air if k.joint == "yaw" and k.columns[0].function == "link_growth"
+    )  # it does not turn yet
+    rivals = [k for k in late if k.covariates == ("late_0.5_temp_air_C",)]
+    parallel = never_turned(space.machine)
+    for name, kin in ((shift, 1), (link, 1), (turn, 0)):
+        assert sum(of_its_kind(name, rival, parallel) for rival in rivals) == kin
+    assert all(of_its_kind(named(space, "tracker_scale")[0], rival, parallel) for rival in rivals)
