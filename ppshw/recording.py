@@ -34,6 +34,7 @@ LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there
 SAID = 12  # visits by their numbers
+LOAD_AGE = "load_age_s"
 NEARLY_CALLED = 0.85  # of the letters of two columns' names
 # A thermometer does not leap by so much, nor by so many times what it mostly changes from visit to visit, and is back
 # after a visit or two; if it says so at more than this share of visits, the air did. Ours.
@@ -89,6 +90,7 @@ class Recording:
     sha256       of the canonical CSV text, the same for both forms
     copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
                  instrument repeats itself so, and a row that stands there twice is one reading
+    load_age_s   (N,)      for how long its load had lain there at a visit, nan where unknown; None without the column
     misspelt     column that nothing reads → the one that it is nearly called, which is not there
     """
 
@@ -112,6 +114,7 @@ class Recording:
     copies: tuple[int, ...] = ()
     spikes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     misspelt: Mapping[str, str] = field(default_factory=dict)
+    load_age_s: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -145,6 +148,7 @@ class Recording:
             covariates={k: v[rows] for k, v in self.covariates.items()},
             copies=tuple(np.flatnonzero(np.isin(rows, self.copies)).tolist()),
             spikes={k: tuple(np.flatnonzero(np.isin(rows, v)).tolist()) for k, v in self.spikes.items()},
+            load_age_s=None if self.load_age_s is None else self.load_age_s[rows],
         )
 
 
@@ -262,6 +266,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         copies=tuple(copies.tolist()),
         spikes={place: tuple(visits.tolist()) for place, visits in spikes.items()},
         misspelt=_misspelt(cells.names, machine),
+        load_age_s=cells.numbers(LOAD_AGE, fallback=unknown) if LOAD_AGE in cells else None,
     )  # fmt: skip
 
 
@@ -322,7 +327,7 @@ def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
 def _misspelt(names: Sequence[str], machine: Machine) -> dict[str, str]:
     """Columns that nobody reads and that are nearly called like one that is not there, or begin as thermometers do:
     they are optional, so that what they say would be left out in silence."""
-    known = columns_for(machine, extra_points=tuple(machine.points))
+    known = [*columns_for(machine, extra_points=tuple(machine.points)), LOAD_AGE]
     absent = {name.casefold(): name for name in known if name not in names}
     out = {}
     for name in names:

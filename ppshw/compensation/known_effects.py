@@ -27,7 +27,7 @@ from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.earlier import SAME_LOAD_N
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
-from ppshw.terms.history import hours_since_change, lagged, payloads, weighs
+from ppshw.terms.history import changed_at, hours_since_change, lagged, payloads, weighs
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -456,7 +456,8 @@ class KnownEffects:
 
     def _load_age_h(self, moments: Sequence[Moment]) -> float:
         """For how long the load of the last moment has lain there [h], as far back as they go."""
-        return float(hours_since_change(tuple(m.load for m in moments), self._times(moments) / 3600.0)[-1])
+        loads, hours = tuple(m.load for m in moments), self._times(moments) / 3600.0
+        return float(hours_since_change(loads, hours, changed_at(loads, hours, None))[-1])
 
     def _times(self, moments: Sequence[Moment]) -> Array:
         """Where nobody says the time it is the end of the recording."""

@@ -7,6 +7,7 @@ visits is taken as straight (a move never turns back on its way).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,14 +112,25 @@ def lagged(values: Array, hours: Array, tau: float) -> Array:
     return out
 
 
-def followed(values: Array, hours: Array, tau: float) -> Array:
-    """First-order lag with time constant tau [h] of values (N, …) that stand still but for a step halfway between two
-    visits, and had stood for long before the first."""
+def changed_at(load: Sequence[str], hours: Array, load_age_s: Array | None) -> Array:
+    """(N,) hours at which what is at a visit came: its load, where that is another one than before and somebody wrote
+    down for how long it had lain there [s], and else halfway since the visit before."""
+    before = np.concatenate([hours[:1], hours[:-1]])
+    halfway = 0.5 * (before + hours)
+    if load_age_s is None:
+        return np.asarray(halfway)
+    another = np.array([k > 0 and load[k] != load[k - 1] for k in range(len(load))])
+    came = np.clip(hours - load_age_s / 3600.0, before, hours)
+    return np.where(another & np.isfinite(came), came, halfway)
+
+
+def followed(values: Array, hours: Array, came: Array, tau: float) -> Array:
+    """First-order lag with time constant tau [h] of values (N, …) that stand still but for a step between two visits at
+    `came` (N,) [h], and had stood for long before the first."""
     out = np.array(values, dtype=float)
     for k in range(1, len(out)):
-        half = np.exp(-0.5 * max(0.0, hours[k] - hours[k - 1]) / tau)
-        middle = values[k - 1] + (out[k - 1] - values[k - 1]) * half
-        out[k] = values[k] + (middle - values[k]) * half
+        middle = values[k - 1] + (out[k - 1] - values[k - 1]) * np.exp(-max(0.0, came[k] - hours[k - 1]) / tau)
+        out[k] = values[k] + (middle - values[k]) * np.exp(-max(0.0, hours[k] - came[k]) / tau)
     return out
 
 
@@ -188,18 +200,19 @@ def _minus_cross(g: Array) -> Array:
 
 
 def load_memory(
-    payload: Array, load: tuple[str, ...], hours: Array, tau: float, form: str, asked: Array | None = None
+    payload: Array, load: tuple[str, ...], hours: Array, came: Array, tau: float, form: str, asked: Array | None = None
 ) -> Array:  # fmt: skip
     """What of the load changes is still to come: loads superpose (Boltzmann), Σ ΔL r(age), with
 
         r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
 
-    Changes are put halfway between two visits. What hung there before the first visit is taken to have hung there for
+    What hung there before the first visit is taken to have hung there for
     long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0; before that
     all of it). "last" is what the last change alone does, as the logarithm of its age.
 
     payload  (N, k) in any measure that adds up
-    hours    (N,) of the visits, which say when loads were changed;  asked (N,) when each is asked for, None: then
+    hours    (N,) of the visits;  came (N,) when the load of each did, as of `changed_at`
+    asked    (N,) when each is asked for, None: at its visit
     returns  (N, k)
     """
     asked = hours if asked is None else asked
@@ -209,7 +222,7 @@ def load_memory(
     for k in range(1, len(payload)):
         if load[k] == load[k - 1]:
             continue
-        age = asked[k:] - 0.5 * (hours[k] + hours[k - 1])
+        age = asked[k:] - came[k]
         if form == "exponential":
             remaining = np.exp(-age / tau)
         elif form == "last":
@@ -228,12 +241,12 @@ def side_held(load: Array, width: float) -> Array:
     return np.asarray(np.where(last >= 0, side[np.maximum(last, 0)], np.sign(load[0]) or 1.0))
 
 
-def hours_since_change(load: tuple[str, ...], hours: Array) -> Array:
-    """(N,) hours since the load label last changed."""
+def hours_since_change(load: tuple[str, ...], hours: Array, came: Array) -> Array:
+    """(N,) hours since the load label last changed; came (N,) [h] as of `changed_at`."""
     out = np.empty(len(load))
     since = hours[0]
     for k in range(len(load)):
         if k and load[k] != load[k - 1]:
-            since = 0.5 * (hours[k] + hours[k - 1])
+            since = came[k]
         out[k] = hours[k] - since
     return out

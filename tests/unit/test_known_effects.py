@@ -29,6 +29,7 @@ from ppshw.terms import Situation
 from ppshw.terms.effect import Effect
 from ppshw.terms.history import hours_since_change
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.covariates import loads_came
 from ppshw.terms.shapes.creep import OLDEST_LOAD_H
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Load, Plant
@@ -360,7 +361,8 @@ def test_a_calibration_keeps_for_how_long_its_loads_lay_there_whichever_form_its
     reference: dict[str, float] = {}
     context = Context.of(calibration.model, calibration.theta, recording, calibration.measuring_in_base, reference)
     column.evaluate(context)
-    assert context.reference[OLDEST_LOAD_H] == pytest.approx(hours_since_change(recording.load, context.hours).max())
+    ages = hours_since_change(recording.load, context.hours, loads_came(context))
+    assert context.reference[OLDEST_LOAD_H] == pytest.approx(ages.max())
 
 
 def test_a_load_that_lay_there_for_long_makes_the_next_one_no_older() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording import STANDSTILL
-from ppshw.terms.history import former, hours_since_change, lagged, way_since_reversal
+from ppshw.terms.history import changed_at, former, hours_since_change, lagged, way_since_reversal
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.sight import incidence, rays_to, seen_at
 from ppshw.terms.shapes.wrenches import payloads_of
@@ -18,6 +18,11 @@ from ppshw.terms.shapes.wrenches import payloads_of
 Array = NDArray[np.float64]
 LEAST_H = 1e-4  # between two visits
 QUANTILES = 41  # that the ranks of a column are kept by
+
+
+def loads_came(c: Context) -> Array:
+    """(N,) [h] when the load of each visit came: see `changed_at`."""
+    return c.once(("loads came",), lambda: changed_at(c.recording.load, c.hours, c.recording.load_age_s))
 
 
 def named_column(c: Context, name: str) -> Array:
@@ -70,7 +75,7 @@ def named_column(c: Context, name: str) -> Array:
         pauses = np.round(np.diff(c.hours), 7)  # a clock's own rounding is no change of pace
         return np.concatenate([[np.median(pauses) if len(pauses) else 0.0], pauses])
     if name == "since_load_change":
-        return hours_since_change(r.load, c.hours)
+        return hours_since_change(r.load, c.hours, loads_came(c))
     if name == "mounting":
         return np.concatenate([[0.0], np.cumsum(np.array(r.load[1:]) != np.array(r.load[:-1]))])
     if name in ("load", "former_load"):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ppshw.terms.history import followed, hours_since_change, load_memory
 from ppshw.terms.shapes.context import Context
+from ppshw.terms.shapes.covariates import loads_came
 from ppshw.terms.shapes.wrenches import by_payload, deflection, gravity_at_sensor, payload_wrenches, payloads_of
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ def _as_seen(c: Context) -> Array:
     it had lain there for so long: forms that agree as far as they were seen go far apart beyond."""
 
     def as_seen() -> Array:
-        age = hours_since_change(c.recording.load, c.hours)
+        age = hours_since_change(c.recording.load, c.hours, loads_came(c))
         oldest = c.frozen(OLDEST_LOAD_H, float(age.max(initial=0.0)))
         return np.asarray(c.hours - np.maximum(age - oldest, 0.0))
 
@@ -52,9 +53,9 @@ def _late(c: Context, tau: float, form: str) -> Array:
         seen = _as_seen(c)  # for how long loads lay there a calibration keeps, whichever form it has
         if form in ("wrench", "total"):
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
-            return np.asarray(whole - followed(whole, c.hours, tau))
+            return np.asarray(whole - followed(whole, c.hours, loads_came(c), tau))
         g = gravity_at_sensor(c)
-        held = load_memory(payloads_of(c), c.recording.load, c.hours, tau, form, seen)
+        held = load_memory(payloads_of(c), c.recording.load, c.hours, loads_came(c), tau, form, seen)
         return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
 
     return c.once(("late", tau, form), late)
