@@ -437,7 +437,7 @@ class _Run:
     def _watched(self) -> Iterator[None]:
         """Looks at the axes while a person is asked, who may take an hour. By real time: machine time that is stepped
         stands still while nobody steps it. What is found stops the axes at once, and is raised when the person has
-        answered."""
+        answered, also who answers by giving up."""
         answered, found = threading.Event(), list[Exception]()
         at = self._bench.axes.positions()
 
@@ -457,10 +457,16 @@ class _Run:
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         try:
-            yield
-        finally:
-            answered.set()
-            watcher.join()
+            try:
+                yield
+            finally:
+                answered.set()
+                watcher.join()
+        except BaseException as error:
+            if found:
+                found[0].add_note(f"at the prompt: {str(error) or 'interrupted'}")
+                raise found[0] from error
+            raise
         if found:
             raise found[0]
 
@@ -468,6 +474,8 @@ class _Run:
         data: dict[str, Any] = {"visit": None if visit is None else visit.index, "error": type(error).__name__}
         if isinstance(error, HardwareError):
             note = {**data, "device": error.device, "cause": error.cause, "unstopped": list(self._bench.axes.unstopped)}
+            if notes := getattr(error, "__notes__", []):
+                note["notes"] = notes
             file.log(self._noticed or self._now(), "fault", str(error), note)
         else:
             self._log(file, "stopped", str(error) or "interrupted", data)

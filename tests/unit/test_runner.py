@@ -556,6 +556,46 @@ def test_an_axis_that_falls_silent_while_a_person_is_asked_stops_the_others_at_o
     assert situation.events("fault") == ["lift: no heartbeat"]
 
 
+@pytest.mark.parametrize("asked", ["change_load", "wait_for_command"])
+@pytest.mark.parametrize(
+    ("gives_up", "note"),
+    [
+        (Stopped("stopped by the operator at the change"), "at the prompt: stopped by the operator at the change"),
+        (KeyboardInterrupt(), "at the prompt: interrupted"),
+    ],
+)
+def test_a_fault_is_no_less_one_where_the_person_who_is_asked_gives_up(
+    situation: Situation, asked: str, gives_up: BaseException, note: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class GivesUp(Scripted):
+        def change_load(self, load: LoadCase) -> Answer:
+            self.once_told("change_load")
+            return super().change_load(load)
+
+        def wait_for_command(self, why: str) -> Command:
+            self.once_told("wait_for_command")
+            return super().wait_for_command(why)
+
+        def once_told(self, what: str) -> None:
+            if what == asked:
+                situation.axes.silent_from = 0.0
+                assert told.wait(5.0)
+                raise gives_up
+
+        def tell(self, text: str) -> None:
+            super().tell(text)
+            told.set()
+
+    told = threading.Event()
+    monkeypatch.setattr("campaigns.runner.LOOK_S", 0.01)
+    with pytest.raises(HeartbeatLost, match="lift: no heartbeat"):
+        situation.run(GivesUp(situation, Command.PAUSE, Command.GO_ON))
+    assert situation.events("stopped") == []
+    with RecordingFile.open(situation.out) as file:
+        faults = [(text, data["device"], data["notes"]) for _, kind, text, data in file.events() if kind == "fault"]
+    assert faults == [("lift: no heartbeat", "lift", [note])]
+
+
 @pytest.mark.parametrize("wait", ["suspended", "settling"])
 def test_an_axis_that_slips_while_the_run_waits_is_noticed_within_a_second(tmp_path: Path, wait: str) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
