@@ -44,14 +44,14 @@ def corrected_plan(
         wanted, load = np.array(visit.setpoints), plan.loads[visit.load]
         weighs = wrench(plan.machine, wanted[None], load.mass, np.array(load.com))[0]
         if far := _far_outside(weighs, low, high):
-            raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.index}: load '{load.name}': {far}")
+            raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.number}: load '{load.name}': {far}")
         payload = np.clip(weighs, low, high)
         before = visit.via or (visits[-1].setpoints if visits else None)
         given = Circumstances(None if before is None else np.array(before), run_up=run_up)
         try:
             found = compensator.for_joints(wanted, payload, point or plan.machine.where_it_counts, given)
         except CompensationRefused as refused:
-            raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.index}: {refused}") from None
+            raise CampaignError(f"{visit.where}: step {visit.step}, visit {visit.number}: {refused}") from None
         visits.append(replace(visit, setpoints=tuple(found.corrected.tolist())))
         if progress is not None:
             progress(len(visits), len(plan.visits))

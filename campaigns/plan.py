@@ -61,6 +61,11 @@ class Visit:
     via: tuple[float, ...] | None
     where: str
 
+    @property
+    def number(self) -> int:
+        """As people are told it, from 1."""
+        return self.index + 1
+
 
 @dataclass(frozen=True)
 class Summary:

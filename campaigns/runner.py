@@ -292,7 +292,7 @@ class _Run:
             reading, looks = self._bench.force_sensor.read(), looks + 1
             sway = self._steadiness.sway(reading)
         if sway is not None:
-            text = f"visit {visit.index + 1}: the load sways while it is weighed: {sway}"
+            text = f"visit {visit.number}: the load sways while it is weighed: {sway}"
             self._log(file, "sway", text, {"visit": visit.index, **run_notes.raw_wrench(reading)})
             self._operator.tell(f"{text}. Let it hang still, and have the visit measured again.")
         return reading
@@ -308,7 +308,7 @@ class _Run:
             wrench = weighs(self._plan.machine, here[None], self._mass, np.array(self._plan.loads[visit.load].com))[0]
         put_on = self._put_on, self._lay_before
         around = Around(self._bench.clock.utc().timestamp(), visit.load, self._bench.temperatures(), *put_on)
-        who = f"visit {visit.index} ({visit.step}), corrected"
+        who = f"visit {visit.number} ({visit.step}), corrected"
         try:
             commanded = np.asarray(self._map(wanted, wrench, here, around), dtype=float)
             check_setpoints(commanded.tolist(), self._plan.machine, who)
@@ -337,7 +337,7 @@ class _Run:
         if visit.load == self._load:
             return
         load = self._plan.loads.get(visit.load)
-        assert load is not None, f"visit {visit.index} has a load '{visit.load}' that the script does not define"
+        assert load is not None, f"visit {visit.number} has a load '{visit.load}' that the script does not define"
         lies = run_notes.put_on_since(file, load.name) if self._load is None else None
         lay_there = self._load is None and run_notes.last_visit(file).get("load") == load.name  # all the time, perhaps
         self._lay_before = self._baseline(file, f"before the change to load {load.name}")
@@ -408,21 +408,21 @@ class _Run:
     def _obey(self, file: RecordingFile, command: Command | None, visit: Visit, last: Visit | None) -> Command | None:
         """Returns SKIP or REDO where that is to be done, None where the run goes on."""
         if command is Command.PAUSE:
-            self._log(file, "paused", f"before visit {visit.index}")
+            self._log(file, "paused", f"before visit {visit.number}")
             with self._watched():
-                command = self._operator.wait_for_command(f"Paused before visit {visit.index + 1}.")
+                command = self._operator.wait_for_command(f"Paused before visit {visit.number}.")
             self._log(file, "released", f"operator: {command.name.lower()}")
         if command is Command.ABORT:
-            raise Stopped(f"stopped by the operator before visit {visit.index + 1} of {len(self._plan.visits)}")
+            raise Stopped(f"stopped by the operator before visit {visit.number} of {len(self._plan.visits)}")
         if command is Command.SKIP:
             file.drop_visit(visit.index)  # what was to be measured again, and is left out instead
-            self._log(file, "skip", f"visit {visit.index} left out by the operator", {"visit": visit.index})
+            self._log(file, "skip", f"visit {visit.number} left out by the operator", {"visit": visit.index})
             return command
         if command is Command.REDO and last is not None:
-            self._log(file, "redo", f"visit {last.index} is measured again", {"visit": last.index})
+            self._log(file, "redo", f"visit {last.number} is measured again", {"visit": last.index})
             return command
         if command is Command.REDO:
-            self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.index + 1}.")
+            self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.number}.")
         return None
 
     def _wait(self, seconds: float, at: Mapping[str, float]) -> None:

@@ -61,7 +61,7 @@ def plan(a: argparse.Namespace) -> None:
             for v in found.visits
         ]
         step, load = (max(len(getattr(v, label)) for v in found.visits) for label in ("step", "load"))
-        rows = [f"{v.index:5} {v.step:{step}} {v.load:{load}}" + "".join(f"{x:9.4f}" for x in v.setpoints)
+        rows = [f"{v.number:5} {v.step:{step}} {v.load:{load}}" + "".join(f"{x:9.4f}" for x in v.setpoints)
                 for v in found.visits]  # fmt: skip
         text = "\n".join([text, *rows])
     say(a, answer, text)

@@ -275,6 +275,9 @@ def test_a_plan_is_listed_with_every_setpoint(desk: Path) -> None:
     assert found["steps"] == {"sweep": 5, "any": 3, "poses": 2}
     assert [v["setpoints"]["rail"] for v in found["plan"][:5]] == pytest.approx([-0.8, -0.4, 0, 0.4, 0.8])
     assert len(found["plan"]) == 10
+    assert [v["index"] for v in found["plan"]] == list(range(10))
+    rows = ppshw("plan", desk / "little.yaml", "--machine", desk / "machine.yaml", "--list").out.splitlines()[-10:]
+    assert [int(row.split()[0]) for row in rows] == list(range(1, 11))  # for people, as a run's screen and log count
 
 
 def test_plan_asks_whether_limits_of_many_turns_are_degrees(desk: Path) -> None:

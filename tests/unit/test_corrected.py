@@ -44,7 +44,7 @@ def plan(folder: Path, text: str, compensator: Compensator) -> Plan:
 
 
 def test_a_home_at_the_end_of_a_rail_is_refused_with_step_and_visit(tmp_path: Path, compensator: Compensator) -> None:
-    with pytest.raises(CampaignError, match=r"trial\.yaml:3: step home, visit 0: .*'longitudinal' -.* beyond its lim"):
+    with pytest.raises(CampaignError, match=r"trial\.yaml:3: step home, visit 1: .*'longitudinal' -.* beyond its lim"):
         corrected_plan(plan(tmp_path, BOX + HOME, compensator), compensator)
     with pytest.raises(CampaignError, match="home_margin"):
         plan(tmp_path, "home_margin: 0.7\n" + HOME, compensator)
@@ -81,5 +81,5 @@ def test_a_load_far_outside_what_was_identified_is_refused_before_it_is_put_on(
 ) -> None:
     """Of 900 kg the farthest component is said, where the first one was."""
     heavy = BOX.replace("mass: 80", "mass: 900") + "steps: [{step: some, kind: poses, poses: [{q: {}}]}]\n"
-    with pytest.raises(CampaignError, match=r"step some, visit 0: load 'box': Fy = -8825\.\d* N is far outside what"):
+    with pytest.raises(CampaignError, match=r"step some, visit 1: load 'box': Fy = -8825\.\d* N is far outside what"):
         corrected_plan(plan(tmp_path, "home_margin: 0.02\n" + heavy, compensator), compensator)

@@ -387,7 +387,7 @@ def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Sit
 def test_what_was_to_be_measured_again_and_is_left_out_instead_is_not_in_the_recording(situation: Situation) -> None:
     situation.run(Scripted(situation, None, None, Command.REDO, Command.SKIP))
     assert situation.indices() == [0, 2, 3, 4, 5]
-    assert situation.events("skip") == ["visit 1 left out by the operator"]
+    assert situation.events("skip") == ["visit 2 left out by the operator"]
 
 
 def test_a_resumed_run_keeps_another_site_file_beside_the_first(situation: Situation) -> None:
@@ -477,7 +477,7 @@ def test_redo_measures_the_visit_before_again(situation: Situation) -> None:
 def test_redo_is_logged_with_the_visit_that_is_measured_again(situation: Situation) -> None:
     operator = Scripted(situation, Command.REDO, None, Command.REDO, Command.REDO)
     situation.run(operator)
-    assert situation.events("redo") == ["visit 1 is measured again"]  # before visit 0 and right after a redo: nothing
+    assert situation.events("redo") == ["visit 2 is measured again"]  # before visit 1 and right after a redo: nothing
     assert operator.told == [f"Nothing to redo: no visit of this run stands before visit {k}." for k in (1, 2)]
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
 
@@ -485,7 +485,7 @@ def test_redo_is_logged_with_the_visit_that_is_measured_again(situation: Situati
 def test_pause_waits_and_abort_leaves_a_recording_that_can_go_on(situation: Situation) -> None:
     with pytest.raises(Stopped, match="before visit 3 of 6"):
         situation.run(Scripted(situation, None, Command.PAUSE, Command.GO_ON, Command.ABORT))
-    assert situation.events("paused") == ["before visit 1"]
+    assert situation.events("paused") == ["before visit 2"]
     assert situation.indices() == [0, 1]
     situation.run()
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
@@ -680,12 +680,12 @@ def test_a_resumed_run_whose_axes_stand_where_they_stood_says_nothing(situation:
 def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
     situation.thermometer.values = [21.0, 21.0, 21.0, 21.0] + [24.5] * 5 + [22.5]
-    # before visit 1: nothing; suspended: pause, go on, then skip; at visit 2 still too warm: redo visit 0
+    # before visit 2: nothing; suspended: pause, go on, then skip; at visit 3 still too warm: redo visit 1
     commands = [None, None, Command.PAUSE, Command.GO_ON, Command.SKIP, None, Command.REDO]
     situation.run(Scripted(situation, *commands))
-    assert situation.events("skip") == ["visit 1 left out by the operator"]
-    assert situation.events("redo") == ["visit 0 is measured again"]
-    assert situation.events("paused") == ["before visit 1"]
+    assert situation.events("skip") == ["visit 2 left out by the operator"]
+    assert situation.events("redo") == ["visit 1 is measured again"]
+    assert situation.events("paused") == ["before visit 2"]
     assert situation.events("released")[:2] == ["operator: go_on", "operator: skip"]
     assert situation.indices() == [0, 2, 3, 4, 5]
 
@@ -821,7 +821,7 @@ def test_compensated_setpoints_are_commanded_and_the_wanted_ones_kept(situation:
 
 
 def test_a_correction_beyond_a_limit_moves_nothing(situation: Situation) -> None:
-    with pytest.raises(RunFailed, match=r"visit 0 \(a\), corrected: joint lateral at .* outside its limits"):
+    with pytest.raises(RunFailed, match=r"visit 1 \(a\), corrected: joint lateral at .* outside its limits"):
         situation.run(setpoint_map=lambda wanted, wrench, now, around: wanted + 5.0)
     assert situation.axes.moves == []
 
@@ -832,7 +832,7 @@ def test_a_correction_that_is_refused_in_the_middle_is_a_failed_run_not_bad_inpu
             raise CompensationRefused("Fy is outside what was identified")
         return wanted
 
-    with pytest.raises(RunFailed, match=r"^visit 3 \(b\), corrected: Fy is outside what was identified$") as caught:
+    with pytest.raises(RunFailed, match=r"^visit 4 \(b\), corrected: Fy is outside what was identified$") as caught:
         situation.run(setpoint_map=refuses_loads)
     assert caught.value.exit_code == 1
     assert situation.indices() == [0, 1, 2]
