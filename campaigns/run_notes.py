@@ -99,14 +99,19 @@ def finished(file: RecordingFile) -> set[int]:
 
 
 def to_redo(file: RecordingFile) -> set[int]:
-    """Plan indices of visits that somebody wanted measured again, and that were not, since."""
-    measured = file.measured_at()
-    asked = [(int(data["visit"]), time) for time, kind, _, data in file.events() if kind == "redo"]
-    return {visit for visit, time in asked if measured.get(visit, time) < time}
+    """Plan indices of visits that somebody wanted measured again, and that were neither that nor skipped, since."""
+    measured, asked = file.measured_at(), dict[int, str]()
+    for time, kind, _, data in file.events():
+        if kind == "redo":
+            asked[int(data["visit"])] = time
+        elif kind == "skip":
+            asked.pop(int(data["visit"]), None)
+    return {visit for visit, time in asked.items() if measured.get(visit, time) < time}
 
 
 def skipped(file: RecordingFile) -> set[int]:
-    return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"}
+    """Plan indices that were left out; of a visit that was only not measured again there is what was measured."""
+    return {int(data["visit"]) for _, kind, _, data in file.events() if kind == "skip"} - file.done()
 
 
 def exchanged(file: RecordingFile, devices: Sequence[DeviceInfo]) -> str:

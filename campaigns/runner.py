@@ -232,8 +232,9 @@ class _Run:
                 if command is not Command.SKIP:
                     self._change_load(file, visit)
                     self._visit(file, visit)
-                    last = visit
                     self._measured += 1
+                if visit.index in file.done():  # or was not measured again
+                    last = visit
                 todo.pop(0)
                 seconds_left -= self._plan.durations[visit.index]
                 if self._progress is not None:
@@ -415,8 +416,11 @@ class _Run:
         if command is Command.ABORT:
             raise Stopped(f"stopped by the operator before visit {visit.number} of {len(self._plan.visits)}")
         if command is Command.SKIP:
-            file.drop_visit(visit.index)  # what was to be measured again, and is left out instead
-            self._log(file, "skip", f"visit {visit.number} left out by the operator", {"visit": visit.index})
+            text = f"visit {visit.number} left out by the operator"
+            if visit.index in file.done():
+                text = f"visit {visit.number} is not measured again: what was measured of it stays"
+                self._operator.tell(f"{text[0].upper()}{text[1:]}.")
+            self._log(file, "skip", text, {"visit": visit.index})
             return command
         if command is Command.REDO and last is not None:
             self._log(file, "redo", f"visit {last.number} is measured again", {"visit": last.index})

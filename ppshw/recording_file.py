@@ -175,11 +175,6 @@ class RecordingFile:
         with self._writing():
             self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
 
-    def drop_visit(self, plan_index: int) -> None:
-        """Leave out what was measured at a place of the plan, if anything was."""
-        with self._writing():
-            self._forget(plan_index)
-
     def _forget(self, plan_index: int | None) -> None:
         mine = "SELECT visit FROM visits WHERE plan_index = ?"
         self._db.execute(f"DELETE FROM shots WHERE visit IN ({mine})", [plan_index])

@@ -384,10 +384,46 @@ def test_what_was_measured_stays_until_it_has_been_measured_again(situation: Sit
     assert len(situation.axes.moves) == 2 + 1 + 5
 
 
-def test_what_was_to_be_measured_again_and_is_left_out_instead_is_not_in_the_recording(situation: Situation) -> None:
-    situation.run(Scripted(situation, None, None, Command.REDO, Command.SKIP))
-    assert situation.indices() == [0, 2, 3, 4, 5]
-    assert situation.events("skip") == ["visit 2 left out by the operator"]
+def test_a_redo_that_is_skipped_leaves_what_was_measured(situation: Situation) -> None:
+    operator = Scripted(situation, None, None, Command.REDO, Command.SKIP)
+    situation.run(operator)
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    said = "visit 2 is not measured again: what was measured of it stays"
+    assert situation.events("skip") == [said]
+    assert operator.told == [f"{said[0].upper()}{said[1:]}."]
+    visited = [tuple(move.values()) for move in situation.axes.moves]
+    assert visited == [visit.setpoints for visit in situation.plan.visits]
+    with RecordingFile.open(situation.out) as file:
+        assert run_notes.skipped(file) == set()
+    situation.run()
+    assert len(situation.axes.moves) == 6
+
+
+def test_a_redo_that_is_skipped_after_a_resume_leaves_what_was_measured(situation: Situation) -> None:
+    situation.tracker.lost_from = 7  # the second visit, measured again, finds no beam
+    with pytest.raises(BeamLost):
+        situation.run(Scripted(situation, None, None, Command.REDO))
+    with RecordingFile.open(situation.out) as file:
+        before = file.table()[1], file.shots(2)
+    situation.tracker.lost_from = math.inf
+    situation.run(Scripted(situation, Command.SKIP))
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    with RecordingFile.open(situation.out) as file:
+        assert (file.table()[1][:2], file.shots(2)) == before
+    moves = len(situation.axes.moves)
+    situation.run()
+    assert len(situation.axes.moves) == moves
+
+
+def test_a_redo_that_is_skipped_can_be_asked_for_again_and_outlives_a_resume(situation: Situation) -> None:
+    commands = [None, None, Command.REDO, Command.SKIP, Command.REDO, Command.ABORT]
+    with pytest.raises(Stopped):
+        situation.run(Scripted(situation, *commands))
+    with RecordingFile.open(situation.out) as file:
+        assert run_notes.finished(file) == {0}
+        assert run_notes.skipped(file) == set()
+    situation.run()
+    assert len(situation.axes.moves) == 2 + 5
 
 
 def test_a_resumed_run_keeps_another_site_file_beside_the_first(situation: Situation) -> None:
