@@ -218,10 +218,10 @@ class _Run:
         last: Visit | None = None
         seconds_left = self._plan.seconds_left(finished)
         try:
-            while todo:
-                visit = todo[0]
+            while True:  # once more after the last visit: what was asked for meanwhile
+                visit = todo[0] if todo else None
                 command = self._obey(file, self._operator.command(), visit, last)
-                if command is None:
+                if command is None and visit is not None:
                     command = self._wait_for_temperature(file, visit, last)
                 if command is Command.REDO:
                     assert last is not None
@@ -229,6 +229,8 @@ class _Run:
                     last = None
                     seconds_left += self._plan.durations[todo[0].index]
                     continue
+                if visit is None:
+                    break
                 if command is not Command.SKIP:
                     self._change_load(file, visit)
                     self._visit(file, visit)
@@ -406,16 +408,24 @@ class _Run:
                 return wanted
             self._wait(SUSPENDED_FOR_S, at)
 
-    def _obey(self, file: RecordingFile, command: Command | None, visit: Visit, last: Visit | None) -> Command | None:
-        """Returns SKIP or REDO where that is to be done, None where the run goes on."""
+    def _obey(
+        self, file: RecordingFile, command: Command | None, visit: Visit | None, last: Visit | None
+    ) -> Command | None:
+        """Returns SKIP or REDO where that is to be done, None where the run goes on. `visit` is the next one, None
+        after the last."""
+        when = "after the last visit" if visit is None else f"before visit {visit.number}"
         if command is Command.PAUSE:
-            self._log(file, "paused", f"before visit {visit.number}")
+            self._log(file, "paused", when)
             with self._watched():
-                command = self._operator.wait_for_command(f"Paused before visit {visit.number}.")
+                command = self._operator.wait_for_command(f"Paused {when}.")
             self._log(file, "released", f"operator: {command.name.lower()}")
         if command is Command.ABORT:
-            raise Stopped(f"stopped by the operator before visit {visit.number} of {len(self._plan.visits)}")
+            of = "" if visit is None else f" of {len(self._plan.visits)}"
+            raise Stopped(f"stopped by the operator {when}{of}")
         if command is Command.SKIP:
+            if visit is None:
+                self._operator.tell(f"Nothing to skip {when}.")
+                return None
             text = f"visit {visit.number} left out by the operator"
             if visit.index in file.done():
                 text = f"visit {visit.number} is not measured again: what was measured of it stays"
@@ -426,7 +436,8 @@ class _Run:
             self._log(file, "redo", f"visit {last.number} is measured again", {"visit": last.index})
             return command
         if command is Command.REDO:
-            self._operator.tell(f"Nothing to redo: no visit of this run stands before visit {visit.number}.")
+            stands = "has been measured" if visit is None else f"stands {when}"
+            self._operator.tell(f"Nothing to redo: no visit of this run {stands}.")
         return None
 
     def _wait(self, seconds: float, at: Mapping[str, float]) -> None:

@@ -518,6 +518,53 @@ def test_redo_is_logged_with_the_visit_that_is_measured_again(situation: Situati
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
 
 
+def test_the_last_visit_can_be_measured_again_too(situation: Situation) -> None:
+    situation.run(Scripted(situation, *[None] * 6, Command.REDO))
+    assert situation.events("redo") == ["visit 6 is measured again"]
+    visited = [tuple(move.values()) for move in situation.axes.moves]
+    setpoints = [visit.setpoints for visit in situation.plan.visits]
+    assert visited == [*setpoints, setpoints[5]]
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    assert situation.events("baseline")[-1:] == ["after the last visit"]
+    assert situation.events("end") == ["6 of 6 visits measured"]
+
+
+def test_a_redo_of_the_last_visit_outlives_a_resume(situation: Situation) -> None:
+    situation.tracker.lost_from = 19  # the last visit, measured again, finds no beam
+    with pytest.raises(BeamLost):
+        situation.run(Scripted(situation, *[None] * 6, Command.REDO))
+    assert situation.events("end") == []
+    situation.tracker.lost_from = math.inf
+    situation.run()
+    assert len(situation.axes.moves) == 6 + 1 + 1
+    assert situation.events("end") == ["6 of 6 visits measured"]
+
+
+def test_after_the_last_visit_a_run_pauses_aborts_and_has_nothing_to_skip(situation: Situation) -> None:
+    operator = Scripted(situation, *[None] * 5, Command.SKIP, Command.PAUSE, Command.ABORT)
+    with pytest.raises(Stopped, match=r"^stopped by the operator after the last visit$"):
+        situation.run(operator)
+    assert situation.events("paused") == ["after the last visit"]
+    assert operator.told == ["Paused after the last visit."]
+    assert situation.indices() == [0, 1, 2, 3, 4]
+
+
+def test_nothing_is_there_to_redo_where_a_resumed_run_skipped_what_was_left(situation: Situation) -> None:
+    with pytest.raises(Stopped):
+        situation.run(Scripted(situation, *[None] * 5, Command.ABORT))
+    operator = Scripted(situation, Command.SKIP, Command.REDO)
+    situation.run(operator)
+    assert operator.told == ["Nothing to redo: no visit of this run has been measured."]
+
+
+def test_nothing_is_skipped_after_the_last_visit(situation: Situation) -> None:
+    operator = Scripted(situation, *[None] * 6, Command.SKIP)
+    situation.run(operator)
+    assert operator.told == ["Nothing to skip after the last visit."]
+    assert situation.events("skip") == []
+    assert situation.events("end") == ["6 of 6 visits measured"]
+
+
 def test_pause_waits_and_abort_leaves_a_recording_that_can_go_on(situation: Situation) -> None:
     with pytest.raises(Stopped, match="before visit 3 of 6"):
         situation.run(Scripted(situation, None, Command.PAUSE, Command.GO_ON, Command.ABORT))
