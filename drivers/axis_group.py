@@ -52,6 +52,7 @@ class Cia402Group:
         self._bus = CanBus(bus, clock)
         self._axes: dict[str, Cia402Axis] = {}
         self._approach = dict.fromkeys(self.names, 0)
+        self._at_rest_since = 0.0  # since the last motion, the start or a homing ended
         self._started = False
         self._ours = False  # nobody else was found to move these axes
         self._stopping = Stopping(self._bus, clock, self._axes_now)
@@ -117,6 +118,7 @@ class Cia402Group:
             for axis in homed:
                 self._home(axis)
             self._exchange()
+            self._at_rest_since = self._clock.now()
         except BaseException as error:
             self.quick_stop()
             if isinstance(error, Stopped):
@@ -136,6 +138,7 @@ class Cia402Group:
     def _home(self, axis: Cia402Axis) -> None:
         try:
             home(axis, self._bus, lambda: self._exchange(but=axis))
+            self._at_rest_since = self._clock.now()
         except Stopped:
             self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
             raise
@@ -270,20 +273,19 @@ class Cia402Group:
 
     def move(self, setpoints: Mapping[str, float]) -> MoveReport:
         legs = self._plan(setpoints)
-        ended_at = self._clock.now()
         try:
             if not self._started:
                 raise HardwareError("axes", "not started")
             self._exchange()
             for leg in legs():
-                ended_at = self._run_leg(leg)
+                self._run_leg(leg)
         except BaseException as error:
             self.quick_stop()
             if isinstance(error, Stopped):
                 self._raise_trouble()  # the reason, where an emergency stopped all in between two looks
             raise
         positions = {name: axis.here() for name, axis in self._axes.items()}
-        return MoveReport(positions, dict(self._approach), ended_at)
+        return MoveReport(positions, dict(self._approach), self._at_rest_since)
 
     def _plan(self, setpoints: Mapping[str, float]) -> Callable[[], Iterable[dict[str, int]]]:
         """Every limit is checked here, before anything moves."""
@@ -322,7 +324,7 @@ class Cia402Group:
     def _departure(self, axis: Cia402Axis) -> int:
         return axis.target if axis.target is not None else _snapshot(axis).counts
 
-    def _run_leg(self, targets: Mapping[str, int]) -> float:
+    def _run_leg(self, targets: Mapping[str, int]) -> None:
         moving: list[Cia402Axis] = []
         ways = {name: (axis.target, axis.target) for name, axis in self._axes.items() if axis.target is not None}
         duration = 0.0
@@ -340,9 +342,9 @@ class Cia402Group:
             axis.target = target
             moving.append(axis)
         if not moving:
-            return self._clock.now()
+            return
         started = self._start_together(moving)
-        return self._wait_until_at_rest(started, duration, ways)
+        self._at_rest_since = self._wait_until_at_rest(started, duration, ways)
 
     def _start_together(self, moving: Sequence[Cia402Axis]) -> float:
         """Targets out, one SYNC for all. Returns when the SYNC went out."""

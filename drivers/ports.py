@@ -80,7 +80,8 @@ class MoveReport:
 
     positions   joint value per axis at rest, encoder, SI
     approach    −1, 0, 1 per axis: direction of the axis' last motion (0: has not moved yet)
-    ended_at    Clock.now() when the last axis came to rest (start of the settle window)
+    ended_at    Clock.now() when the last axis came to rest (start of the settle window), in a move before where this
+                one moved nothing
     """
 
     positions: Mapping[str, float]

@@ -78,6 +78,22 @@ def test_a_move_to_where_it_stands_starts_nothing(machine: Machine) -> None:
     assert len(machine.drive("slide").starts) == 1
 
 
+def test_an_axis_that_is_not_moved_rests_since_its_last_motion(machine: Machine) -> None:
+    ended_at = machine.group.move({"slide": 0.1}).ended_at
+    machine.clock.sleep(60.0)
+    assert machine.group.move({"slide": 0.1}).ended_at == ended_at
+    machine.clock.sleep(60.0)
+    assert machine.group.move({"slide": 0.1, "lift": 0.1}).ended_at > ended_at + 120.0
+
+
+def test_an_axis_that_was_stopped_meanwhile_is_not_taken_to_rest_since_its_last_motion(machine: Machine) -> None:
+    ended_at = machine.group.move({"slide": 0.1}).ended_at
+    machine.group.quick_stop()
+    machine.group.start()
+    assert machine.group.move({}).ended_at > ended_at
+    assert machine.group.move({"slide": 0.1}).ended_at > ended_at
+
+
 @pytest.mark.parametrize(("side", "direction", "turning_point"), [(-1, 1, 0.18), (1, -1, 0.22)])
 def test_the_final_approach_comes_from_the_configured_side(
     build: Callable[..., Machine], side: int, direction: int, turning_point: float
