@@ -248,7 +248,6 @@ class Cia402Group:
         self._raise_trouble()
         if silent:
             silent = self._still_silent(silent)
-            self._raise_trouble()
         self._raise_silence({a.name: a.silent_after_sync() for a in axes if a.node_id in silent})
         self._raise_silence({a.name: s for a in axes if (s := a.silence())})
         if not expect_enabled:
@@ -262,11 +261,16 @@ class Cia402Group:
 
     def _still_silent(self, silent: set[int]) -> set[int]:
         """Everyone is asked once more: all nodes if none answers now (the bus fell silent in between two answers), else
-        those that did not answer both times, or one of them if all were only late: none that was late shall be named in
-        the place of one that is gone. Nothing is forgiven for it: all is stopped first."""
+        those that did not answer both times, or one of them if they were only late: none that was late shall be named
+        in the place of one that is gone. Raises HardwareTimeout of the bus where all nodes were late together. Nothing
+        is forgiven for it: all is stopped first."""
         self._stopping.at_once()
         everyone = {axis.node_id for axis in self._axes.values()}
         again = self._bus.exchange(everyone)
+        self._raise_trouble()
+        if silent == everyone and not again and len(everyone) > 1:
+            late = f"every drive's answer to a SYNC came more than {self._bus.config.answer_timeout:g} s late"
+            raise HardwareTimeout(self._bus.config.name, f"{late}: the adapter or this computer?")
         return again if again == everyone else again & silent or {min(silent)}
 
     # moving

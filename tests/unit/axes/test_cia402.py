@@ -320,11 +320,37 @@ def test_a_node_that_is_late_alone_is_no_less_a_reason_to_stop(machine: Machine)
     with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
         machine.group.move({"lift": 0.3})
     machine.group.start()
-    for name in ("slide", "lift", "slew"):
+    for name in ("slide", "lift"):
         machine.drive(name).late = 1
     with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
         machine.group.move({"lift": 0.3})
     assert machine.drive("lift").power is not Power.OPERATION_ENABLED
+
+
+def test_nodes_that_are_all_late_together_are_the_buss_fault(machine: Machine) -> None:
+    for drive in machine.drives:
+        drive.late = 1
+    late = (
+        r"^CAN virtual .*: every drive's answer to a SYNC came more than 0\.5 s late: the adapter or this computer\?$"
+    )
+    with pytest.raises(HardwareTimeout, match=late):
+        machine.group.move({"lift": 0.3})
+    assert all(drive.power is not Power.OPERATION_ENABLED for drive in machine.drives)
+
+
+def test_a_node_that_is_gone_while_all_others_are_late_is_named(machine: Machine) -> None:
+    machine.drive("slide").late = machine.drive("lift").late = 1
+    machine.drive("slew").unplug()
+    with pytest.raises(HeartbeatLost, match=r"slew: no process data within 0\.5 s of SYNC"):
+        machine.group.move({"lift": 0.3})
+
+
+def test_a_single_node_that_is_late_is_named(build: Callable[..., Machine]) -> None:
+    m = build(SLIDE)
+    m.group.start()
+    m.drive("slide").late = 1
+    with pytest.raises(HeartbeatLost, match=r"slide: no process data within 0\.5 s of SYNC"):
+        m.group.move({"slide": 0.3})
 
 
 def test_a_silent_bus_is_told_from_a_silent_node(machine: Machine) -> None:
