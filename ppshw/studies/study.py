@@ -69,7 +69,8 @@ def run_study(
     rows, more = study.summarise(outcome)
     times = list(outcome.seconds.values())
     document = {
-        "study": study.name, "code": code(), "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
+        "study": study.name, "code": code(), "short": short, "visits": sorted({j.arguments["visits"] for j in jobs}),
+        "first_seed": FIRST_SEED, "machines": count, "jobs": len(jobs),
         "seconds_per_job": round(sum(times) / len(times), 3), "lost": outcome.lost, "rows": rows, **more,
     }  # fmt: skip
     write_text(out / f"{study.name}.json", json.dumps(document, indent=1))
@@ -83,11 +84,15 @@ def run_study(
 
 
 def page(study: Study, document: Json) -> str:
+    fewest, most = document["visits"][0], document["visits"][-1]
+    campaigns = "The short version of the study (`--short`): campaigns" if document["short"] else "Campaigns"
+    visits = f"{most}" if fewest == most else f"{fewest} to {most}"
     last = document["first_seed"] + document["machines"] - 1
     lines = [
         f"# {study.name}", "", f"{study.about[0].upper()}{study.about[1:]}.", "",
-        f"{document['machines']} machines, seeds {document['first_seed']} to {last}; {document['jobs']} jobs of "
-        f"{document['seconds_per_job']:.2f} s; {len(document['lost'])} lost. {study.remarks}", "",
+        f"{campaigns} of {visits} visits. {document['machines']} machines, seeds {document['first_seed']} to {last}; "
+        f"{document['jobs']} jobs of {document['seconds_per_job']:.2f} s; {len(document['lost'])} lost. "
+        f"{study.remarks}", "",
         table(document["rows"]), "", f"![{study.name}]({study.name}.png)", "",
     ]  # fmt: skip
     lines += [f"- lost: {key}: {why}" for key, why in document["lost"].items()]

@@ -20,7 +20,7 @@ from ppshw.studies.directions import STUDY as DIRECTIONS
 from ppshw.studies.engine import Cluster
 from ppshw.studies.residuals import STUDY as RESIDUALS
 from ppshw.studies.simulated import ensemble, machine_file, make_trial, paper_campaign
-from ppshw.studies.study import Study, aligned, run_study
+from ppshw.studies.study import Study, aligned, page, run_study
 from ppshw.terms import Situation
 from simulators.plant import Plant
 
@@ -41,6 +41,10 @@ def run(study: Study, out: Path) -> dict[str, Any]:
     for ending in ("jsonl", "json", "csv", "md", "png"):
         assert (out / f"{study.name}.{ending}").stat().st_size > 100, ending
     assert json.loads((out / f"{study.name}.json").read_text())["rows"] == found["rows"]
+    visits = "67 to 100" if study is AGAINST_VISITS else "139"
+    said = f"The short version of the study (`--short`): campaigns of {visits} visits. "
+    assert said in (out / f"{study.name}.md").read_text(encoding="utf-8")
+    assert (found["short"], found["visits"]) == (True, [67, 100] if study is AGAINST_VISITS else [139])
     assert len(list(csv.DictReader((out / f"{study.name}.csv").open()))) == len(found["rows"])
     return found
 
@@ -94,6 +98,14 @@ def test_the_same_study_again_reads_what_it_did(tmp_path: Path) -> None:
     journal = (tmp_path / "directions.jsonl").read_bytes()
     assert run(DIRECTIONS, tmp_path) == first
     assert (tmp_path / "directions.jsonl").read_bytes() == journal
+
+
+def test_the_page_of_a_whole_study_says_of_how_many_visits_it_is() -> None:
+    document = {
+        "machines": 100, "first_seed": 4000, "jobs": 100, "seconds_per_job": 2.0, "lost": {}, "rows": [{"a": 1}],
+        "short": False, "visits": [669],
+    }  # fmt: skip
+    assert "\nCampaigns of 669 visits. 100 machines, seeds 4000 to 4099; 100 jobs" in page(RESIDUALS, document)
 
 
 def test_a_terminal_has_every_cell_within_80_columns() -> None:
