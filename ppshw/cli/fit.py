@@ -41,6 +41,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification.joint import believable
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.identification.plausible import noisier_than_stated
+    from ppshw.identification.strengths import held_back
     from ppshw.recording import listed, load_recording
     from ppshw.terms.shapes import Context
 
@@ -78,6 +79,7 @@ def identify(a: argparse.Namespace) -> None:
         warnings.append(said)
     if doubt := noisier_than_stated(machine, fit["rms_mm"], "a residual"):
         warnings.append(doubt)
+    warnings += held_back(estimate.model.parameters(), estimate.groups)
     calibration.save(out)
     warn(a.rec, warnings)
     spread = np.sqrt(np.diag(calibration.noise.pose))

@@ -8,7 +8,7 @@ a link's turns by moments) are drawn together over joints and elements. docs/der
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,9 @@ Index = NDArray[np.int64]
 # Prior variances stay within these factors of where they start (as variances): from nothing to some 30 mm and 15 mrad.
 # Without the upper one, errors of parallel axes that cancel each other may grow to metres while noise is still unknown.
 SMALLEST, LARGEST = 1e-10, 1e3
+# Compliances may grow to 2e-3 rad/(N m): the wrist of a small arm gives way a thousand times as much as a positioner's
+# link, and under its few newton metres that is no more than a turn may be.
+LARGEST_COMPLIANCE = 1e8
 # Logarithms of one kind's variances scatter by this much over joints and elements (a factor of 3.5 in size) about a
 # mean that starts at exp(KIND) of the group's start and counts as half a group there. Our judgement of machines.
 ALIKE, KIND, KIND_COUNTS = 2.5, -3.0, 0.5
@@ -31,6 +34,7 @@ ALIKE, KIND, KIND_COUNTS = 2.5, -3.0, 0.5
 # that explain the same would swing. Less than the whole way also spares groups that matter once the noise is known.
 TIMES = np.geomspace(1e-3, 1e3, 121)
 SHARE, MOST = 0.5, 30.0
+AT_LIMIT = 0.99  # of the largest size
 # A group whose prior adds less than this share to the noise's variance, at the mean over all visits, is left out.
 NEGLIGIBLE = 1e-3
 
@@ -63,6 +67,12 @@ class Groups:
             np.array([any(name.startswith(h) for h in held) for name in names], dtype=bool),
         )  # fmt: skip
 
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """(G,) the least and the most that a variance may become."""
+        most = np.where([name.startswith("compliance.") for name in self.names], LARGEST_COMPLIANCE, LARGEST)
+        return SMALLEST * self.start**2, most * self.start**2
+
     def expected(self, variances: Array, which: Index) -> Array:
         """(G,) mean logarithm of the variances of every group's kind, over the groups `which`."""
         total = np.full(self.kind.max() + 1, 0.0)
@@ -72,6 +82,35 @@ class Groups:
         np.add.at(total, self.kind[which], np.log(variances[which]))
         np.add.at(count, self.kind[which], 1.0)
         return np.asarray(((total + KIND_COUNTS * start) / (count + KIND_COUNTS))[self.kind])
+
+
+def held_back(parameters: Sequence[Parameter], strengths: Mapping[str, float]) -> list[str]:
+    """In a line each, which groups' prior standard deviations came to the upper limit."""
+    groups, units = Groups.among(parameters), {p.group: p.unit for p in parameters}
+    most = dict(zip(groups.names, np.sqrt(groups.limits[1]).tolist(), strict=True))
+    return [
+        f"{_spoken(name)} came to the largest size that is thought possible ({_size(most[name], units[name])}), and "
+        "what is larger is fitted in part: is the machine file right there?"
+        for name, strength in strengths.items()
+        if strength > AT_LIMIT * most[name]
+    ]
+
+
+def _spoken(group: str) -> str:
+    """compliance.w3.rM.rz,Mz.line → the compliance rz per Mz of frame w3; geometric.w3.t.line → shifts of frame w3"""
+    match group.split("."):
+        case ["compliance", frame, _, element, _]:
+            return f"the compliance {element.replace(',', ' per ')} of frame {frame}"
+        case ["geometric", frame, kind, band]:
+            waves = "" if band == "line" else ", in waves,"
+            return f"{'shifts' if kind == 't' else 'turns'} of frame {frame}{waves}"
+        case ["own", frame, _]:
+            return f"{frame}'s errors along its own motion"
+    return f"{group} errors"
+
+
+def _size(value: float, unit: str) -> str:
+    return f"{1e3 * value:.3g} m{unit}" if unit in ("m", "rad") else f"{value:.2g} {unit}"
 
 
 def _kind(group: str) -> str:
@@ -163,7 +202,7 @@ def _moved(variances: Array, z: Array, root: Array, members: list[tuple[int, Ind
 
     e, w: S's eigenvalues and q along its eigenvectors (Tipping & Faul 2003, for groups); μ of its kind.
     """
-    out = variances.copy()
+    out, (least, most) = variances.copy(), groups.limits
     by_size: dict[int, list[tuple[int, Index]]] = {}
     for g, which in members:
         by_size.setdefault(len(which), []).append((g, which))
@@ -179,6 +218,5 @@ def _moved(variances: Array, z: Array, root: Array, members: list[tuple[int, Ind
         gain = (t * score2[:, None] / (1.0 + t * e) - np.log1p(t * e)).sum(axis=-1)
         gain -= (np.log(TIMES * variances[these][:, None]) - expected[these][:, None]) ** 2 / ALIKE**2
         factor = np.clip(TIMES[np.argmax(gain, axis=1)] ** SHARE, 1.0 / MOST, MOST)
-        least, most = (limit * groups.start[these] ** 2 for limit in (SMALLEST, LARGEST))
-        out[these] = np.clip(variances[these] * factor, least, most)
+        out[these] = np.clip(variances[these] * factor, least[these], most[these])
     return out

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ppshw.identification import joint, visits
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.noise import Noise
-from ppshw.identification.strengths import Groups, learn
+from ppshw.identification.strengths import Groups, held_back, learn
 from ppshw.identification.structure import joint_model
 from ppshw.identification.visits import Linearisation
 from ppshw.machine import Machine, load_machine
@@ -113,3 +113,43 @@ def test_a_group_that_nothing_speaks_for_shrinks_and_one_that_is_there_is_found(
     fixed = posterior.root.T @ posterior.root
     assert (np.diag(covariance) >= np.diag(fixed)).all()
     assert np.sqrt(np.diag(covariance)[:40].mean()) == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_small_arm_s_wrist_may_give_way_a_thousand_times_as_much_as_a_positioner(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """One milliradian per newton metre (1.9e-4 of an arm of harmonic drives was 0 ± 6e-6), behind moments of a few."""
+    arm = MACHINES / "arm6.yaml"
+    machine, plant = load_machine(arm), Plant.from_file(arm, 3)
+    path = tmp_path_factory.mktemp("wrist") / "r.csv"
+    recording = load_recording(simulate_recording_csv(plant, path, 120), machine)
+    recording = replace(recording, wrench=recording.wrench / 50)  # a small arm's
+    model = joint_model(machine, recording, waves=2)
+    names = [p.name for p in model.parameters()]
+    wrist = [names.index(f"{machine.joint_names[-1]}.C[{e}][0]") for e in ("rx,Mx", "ry,My", "rz,Mz")]
+    theta = np.zeros(len(names))
+    theta[wrist] = [1e-3, 5e-4, 1e-3]
+    points = model.predict(Situation.of(recording), theta)
+    noise = np.random.default_rng(0).normal(scale=2e-5, size=points.shape)
+    found = estimate(model, replace(recording, points=points + noise))
+    off, std = found.theta[wrist] - theta[wrist], np.sqrt(np.diag(found.covariance)[wrist])
+    assert (np.abs(off) < 0.05 * theta[wrist]).all()
+    assert (np.abs(off) < 4 * std).all()
+    assert (std < 0.05 * theta[wrist]).all()
+    assert held_back(model.parameters(), found.groups) == []
+
+
+def test_a_size_at_its_limit_is_said_of_what() -> None:
+    parameters = [
+        Parameter("w3.C[rz,Mz][0]", "rad/(N m)", "compliance.w3.rM.rz,Mz.line", 1.0, 2e-7),
+        Parameter("w2.tx[0]", "m", "geometric.w2.t.line", 1.0, 1e-3),
+        Parameter("w2.rx[1]", "rad", "geometric.w2.r.band0", 1.0, 5e-4),
+    ]
+    sizes = {"compliance.w3.rM.rz,Mz.line": 2e-3, "geometric.w2.t.line": 0.0317, "geometric.w2.r.band0": 1e-3}
+    said = held_back(parameters, sizes)
+    assert [line.split(" came to ")[0] for line in said] == [
+        "the compliance rz per Mz of frame w3",
+        "shifts of frame w2",
+    ]
+    assert "(0.002 rad/(N m))" in said[0]
+    assert "(31.6 mm)" in said[1]
