@@ -232,10 +232,13 @@ class Calibration:
         )  # fmt: skip
 
     def save(self, path: Path | str) -> None:
-        """Write the file whole or not at all. Raises CalibrationError when the folder is missing."""
+        """Write the file whole or not at all. Raises CalibrationError when the folder is missing, or where
+        `load_calibration` would refuse it."""
         path = Path(path)
         if not path.parent.is_dir():
             raise CalibrationError(f"{path}: the folder {path.parent} does not exist")
+        if wrong := _unfit(self):
+            raise CalibrationError(f"{path}: not written, as no command would read it: {wrong}")
         content = self._as_dict()
         content["content_sha256"] = content_digest(content)
         write_text(path, json.dumps(content, indent=1), CalibrationError)
@@ -317,7 +320,13 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, zlib.error) as exc:
         what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
         raise CalibrationError(f"{path}: damaged: {what}") from None
-    found = calibration
+    if wrong := _unfit(calibration):
+        raise CalibrationError(f"{path}: damaged: {wrong}")
+    return calibration
+
+
+def _unfit(found: Calibration) -> str:
+    """What about a calibration's numbers no command could go by; empty where there is nothing."""
     everything = {"terms": found.theta, "covariance": found.covariance, "measuring_in_base": found.measuring_in_base,
                   "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
                   "valid.temperatures": np.array(list(found.temperature_range.values())),
@@ -326,23 +335,22 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
         everything["laid"] = found.laid
     if found.noise.joints is not None:
         if (found.noise.joints < 0).any():
-            raise CalibrationError(f"{path}: damaged: noise.joints holds negative variances")
+            return "noise.joints holds negative variances"
         everything["noise.joints"] = found.noise.joints
     for effect in found.effects:
         numbers = np.concatenate([effect.values, effect.std, np.ravel(effect.correlation)])
         everything[f"effects.{effect.name}"] = numbers
         if effect.mimicked.size and effect.mimicked.shape[1] != len(found.theta):
-            raise CalibrationError(f"{path}: damaged: 'mimicked' of {effect.name} is for {effect.mimicked.shape[1]} "
-                                   f"parameters, expected {len(found.theta)}")  # fmt: skip
+            return (f"'mimicked' of {effect.name} is for {effect.mimicked.shape[1]} parameters, expected "
+                    f"{len(found.theta)}")  # fmt: skip
         everything[f"effects.{effect.name}.mimicked"] = effect.mimicked
     for name, values in everything.items():
         if not (np.abs(values) <= LARGEST).all():
-            wanted = f"finite numbers below {LARGEST:g}"
-            raise CalibrationError(f"{path}: damaged: {name} holds values that are not {wanted}")
+            return f"{name} holds values that are not finite numbers below {LARGEST:g}"
     turn = found.measuring_in_base[:3, :3]
     if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or found.measuring_in_base[3].tolist() != [0, 0, 0, 1]:
-        raise CalibrationError(f"{path}: damaged: measuring_in_base is no rotation and displacement")
-    return calibration
+        return "measuring_in_base is no rotation and displacement"
+    return ""
 
 
 def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:

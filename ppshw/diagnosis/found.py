@@ -17,6 +17,7 @@ from ppshw.terms.shapes import Column
 Array = NDArray[np.float64]
 PRIOR_SD = 3.0  # of a coefficient once taken up, in `Workspace.unit`s; of more than FEW the less
 FEW = 6  # columns
+STILL = 1e-11  # [m] what moves the reflectors by less per unit does not move them: a link of no length that grows
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 
 
@@ -74,7 +75,7 @@ def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> N
     _lay(space, tried, [*others, f])
     f.size = coefficients(space, candidate, f)[2]
     near = (*near_forms(space.context, candidate, tried.without), *f.more)
-    f.near = tuple({c.key: c for c in near}.values())
+    f.near = tuple(c for c in {c.key: c for c in near}.values() if space.rms(tried.value(c)[0]) > STILL)
 
 
 def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:

@@ -140,3 +140,12 @@ def test_a_changed_digit_is_noticed_and_another_layout_is_not(made: Made, tmp_pa
 def test_it_is_not_written_where_there_is_no_folder(made: Made, tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="nowhere does not exist"):
         made[2].save(tmp_path / "nowhere" / "cal.json")
+
+
+def test_what_no_command_would_read_is_not_written(made: Made, tmp_path: Path) -> None:
+    calibration = made[2]
+    wide = replace(calibration, covariance=calibration.covariance * 1e60)
+    said = r"cal\.json: not written, as no command would read it: covariance holds values that are not finite numbers"
+    with pytest.raises(CalibrationError, match=said):
+        wide.save(tmp_path / "cal.json")
+    assert not list(tmp_path.iterdir())

@@ -15,8 +15,8 @@ from ppshw.compensation.past import Moment, Past
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import near_forms
-from ppshw.diagnosis.found import by_its_own_form
-from ppshw.diagnosis.library import library
+from ppshw.diagnosis.found import Found, by_its_own_form, take_up
+from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.creep import much_of_it
 from ppshw.diagnosis.library.lost_motion import friction
 from ppshw.diagnosis.library.sampled import MOMENTS, elastic_frames, own_component
@@ -71,6 +71,21 @@ def test_each_large_element_of_a_link_s_compliance_may_creep_by_a_share_of_its_o
     comp, load = elements[0]
     assert said[f"compliance_{COMPONENTS[comp]}_by_{WRENCH_COMPONENTS[load]}"]["value"] == pytest.approx(1e-7)
     assert set(free[0].shape) == {"tau_h"}
+
+
+def test_a_link_of_no_length_is_not_one_that_may_grow(space: Workspace) -> None:
+    """Two axes that meet: its growth moves nothing, and had a standard deviation of 2e25, which `load` refuses."""
+    joints = list(space.machine.joints)
+    joints[2] = replace(joints[2], origin=np.eye(4))
+    machine = replace(space.machine, joints=tuple(joints))
+    meets = replace(space, machine=machine, context=replace(space.context, machine=machine))
+    warm = Column("frames", "link_growth", {"place": "air", "tau": 0.0, "joint": -1})
+    growth = Candidate("thermal_growth", None, None, None, "temp_air_C", (warm,), {"lag_h": 0.0})
+    tried = Tried(meets, [growth], space.unit)
+    found = Found(0, ("thermal_growth", None), 0.0, 0.0)
+    take_up(meets, tried, [found], and_look=False)
+    meets.forget()
+    assert {column.args["joint"] for column in found.near} == {0, 2, 3, 4, 5}
 
 
 def test_what_moved_at_a_moment_stood_before_it_where_the_machine_file_has_it(space: Workspace) -> None:
