@@ -14,7 +14,7 @@ from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.time_and_heat import clock
 
 Array = NDArray[np.float64]
@@ -51,10 +51,24 @@ def numbers_of(
         out = _wave(candidate, values, covariance)
     else:
         out = _one_by_one(candidate, values, std)
+    if (middle := scale_holds_at(c, candidate)) is not None:
+        per = "°C" if "place" in candidate.columns[1].args else f"unit of {candidate.covariate}"
+        out["scale_holds_at"] = _entry(middle, None, per)
     for name, value in candidate.shape.items():
         unit = shape_unit(c, name, candidate)
         out[name] = _entry(value, (spread or {}).get(name), unit)
     return out
+
+
+def scale_holds_at(c: Context, candidate: Candidate) -> float | None:
+    """At which temperature, or value of another column, a constant scale beside one that goes with it holds: at the
+    recording's mean. None where there is no such pair."""
+    if candidate.effect != "tracker_scale" or len(candidate.columns) < 2 or candidate.columns[0].args:
+        return None
+    grows = candidate.columns[1].args
+    if "place" in grows:
+        return c.frozen(f"mean.{grows['place']}", float(np.mean(c.recording.temperatures[grows["place"]])))
+    return c.frozen(f"mean of {grows['name']}", float(np.nanmean(named_column(c, grows["name"]))))
 
 
 def along_its_axis(c: Context, candidate: Candidate) -> Array:

@@ -16,7 +16,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
-from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, shape_unit
+from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, scale_holds_at, shape_unit
 from ppshw.diagnosis.sensor_words import against_gravity, turned
 from ppshw.diagnosis.visibility import NEVER, TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
@@ -249,7 +249,8 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         f"heat ({size}).",
         "drift": f"everything moves{_when(candidate)}, {_far(c, candidate, values)}as if the base or the tracker did "
         f"({size}).",
-        "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(candidate, values)} ({size}).",
+        "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(c, candidate, values)} "
+        f"({size}).",
         "periodic_transmission": f"{joint} is off by a wave of period {_period(c, candidate)} along its "
         f"own travel: a screw, a gear or an encoder ({size}).",
         "nonlinear_stiffness": f"{joint} does not give way in proportion to the {candidate.covariate} on it ({size}).",
@@ -314,13 +315,15 @@ def _per_kelvin(candidate: Candidate, values: Array) -> str:
     return f" by {values[0] * 1e6:.3g} {unit}"
 
 
-def _parts(candidate: Candidate, values: Array) -> str:
+def _parts(c: Context, candidate: Candidate, values: Array) -> str:
     """A scale's parts per million, once and per kelvin, or per unit of another column."""
     if candidate.effect != "tracker_scale":
         return ""
-    per = {"place": f" per kelvin of {candidate.covariate}", "name": f" per unit of {candidate.covariate}"}
+    middle, of = scale_holds_at(c, candidate), candidate.covariate
+    per = {"place": f" per kelvin of {of}", "name": f" per unit of {of}"}
+    at = "" if middle is None else f" at {middle:.1f} °C" if str(of).startswith("temp_") else f" at {middle:.5g}"
     said = [
-        f"{v * 1e6:.3g} ppm" + next((text for arg, text in per.items() if arg in column.args), "")
+        f"{v * 1e6:.3g} ppm" + next((text for arg, text in per.items() if arg in column.args), at)
         for v, column in zip(values, candidate.columns, strict=True) if column.on == "points"
     ]  # fmt: skip
     return f", by {' and '.join(said)}"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library
@@ -14,8 +15,12 @@ from ppshw.diagnosis.parameters import numbers_of, spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Column
+from ppshw.terms.history import slip, weighs, wind_up
+from ppshw.terms.shapes import Column, Context, named_column
+from ppshw.terms.shapes.wrenches import by_payload, gravity_at_sensor, payloads_of
 from tests.unit.clean_case import clean_case
+
+Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -96,10 +101,15 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     some = library(space.context)
     scale = next(k for k in some if k.effect == "tracker_scale" and [c.on for c in k.columns] == ["points"] * 2)
     said = sentence(space.context, scale, np.array([4.38e-5, -1.2e-6]), 1e-4)
-    assert f"by a factor, by 43.8 ppm and -1.2 ppm per kelvin of {scale.covariate} (" in said
+    middle = np.mean(space.recording.temperatures[scale.columns[1].args["place"]])
+    assert f"by a factor, by 43.8 ppm at {middle:.1f} °C and -1.2 ppm per kelvin of {scale.covariate} (" in said
     by_pressure = next(k for k in some if k.effect == "tracker_scale" and k.covariate == "cov_pressure")
     said = sentence(space.context, by_pressure, np.array([2.7e-7]), 1e-4)
     assert "by a factor, by 0.27 ppm per unit of cov_pressure (" in said
+    beside = next(k for k in some if k.covariate == "cov_pressure" and [c.on for c in k.columns] == ["points"] * 2)
+    middle = np.mean(named_column(space.context, "cov_pressure"))
+    said = sentence(space.context, beside, np.array([4e-5, 2.7e-7]), 1e-4)
+    assert f"by a factor, by 40 ppm at {middle:.5g} and 0.27 ppm per unit of cov_pressure (" in said
     grows = next(k for k in some if k.effect == "thermal_growth" and k.columns[0].function == "link_growth")
     assert " by 11.5 ppm per kelvin: its" in sentence(space.context, grows, np.array([1.15e-5]), 1e-4)
     shifts = next(k for k in some if k.effect == "thermal_growth" and k.component == "tx" and len(k.columns) == 1)
@@ -109,6 +119,66 @@ def test_a_scale_and_a_growth_are_said_with_their_size(space: Workspace) -> None
     assert " by -16 µm per kelvin at one end of its travel, 12.8 at the other: its" in said
     any_way = next(k for k in some if k.effect == "thermal_growth" and len(k.columns) == 6)
     assert f"moves with {any_way.covariate}: its" in sentence(space.context, any_way, np.full(6, 1e-5), 1e-4)
+
+
+def test_a_constant_scale_holds_where_its_numbers_say(space: Workspace) -> None:
+    c = space.context
+    scale = next(k for k in library(c) if k.effect == "tracker_scale" and [c.on for c in k.columns] == ["points"] * 2)
+    said = {name: entry["value"] for name, entry in numbers_of(c, scale, np.array([4e-5, -2e-6]), np.eye(2)).items()}
+    warm = space.recording.temperatures[scale.columns[1].args["place"]]
+    longer = said["scale"] + said["scale_per_K"] * (warm - said["scale_holds_at"])
+    plain = Column("points", "scale").value(c)
+    laid = sum(v * column.value(c) for v, column in zip((4e-5, -2e-6), scale.columns, strict=True))
+    np.testing.assert_allclose(laid, longer[:, None, None] * plain, atol=1e-12)
+    alone = next(k for k in library(c) if k.effect == "tracker_scale" and len(k.columns) == 1)
+    assert list(numbers_of(c, alone, np.array([4e-5]), np.eye(1))) == ["scale"]
+
+
+def test_a_lag_is_of_either_side_and_a_gap_of_both() -> None:
+    """What a joint lost is taken up evenly over twice the width, or but for a part of e⁻¹ over each."""
+    turned, after = np.array([1, -1, -1, -1]), np.array([0.0, -0.1, -0.2, -0.5])
+    np.testing.assert_allclose(slip(after, turned, 0.1), [1.0, 0.0, -1.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(wind_up(after, turned, 0.1), 2 * np.exp(after / 0.1) - 1.0, atol=1e-12)
+
+
+def test_lost_motion_lag_and_gap_are_half_and_whole_of_what_the_sentence_says(space: Workspace) -> None:
+    c, some = space.context, library(space.context)
+    friction = next(k for k in some if k.effect == "friction_hysteresis" and len(k.columns) == 1)
+    gap = next(k for k in some if k.effect == "backlash" and k.joint == friction.joint and len(k.columns) == 1)
+    for candidate, name, size in ((friction, "lag", 5e-5), (gap, "gap", 1e-4)):
+        assert numbers_of(c, candidate, np.array([-5e-5]), np.eye(1))[name]["value"] == pytest.approx(size)
+        assert " by 0.100 m" in sentence(c, candidate, np.array([-5e-5]), 1e-4).replace("up to", "by")
+
+
+def test_a_wave_s_phase_is_of_its_sine_where_the_joint_stands_at_zero(space: Workspace) -> None:
+    c = space.context
+    wave = Column("frame", "wave", {"joint": 1, "period": 0.01, "phase": "sin"}, 2, 1)
+    columns = (wave, replace(wave, args={**wave.args, "phase": "cos"}))
+    candidate = Candidate(
+        "periodic_transmission", "vertical", "vertical", "ty", "q_vertical", columns, {"period": 0.01}
+    )
+    said = {
+        name: entry["value"] for name, entry in numbers_of(c, candidate, np.array([3e-5, -4e-5]), np.eye(2)).items()
+    }
+    laid = 3e-5 * columns[0].value(c) - 4e-5 * columns[1].value(c)
+    angle = 2 * np.pi * space.recording.q[:, 1] / said["period"] + said["phase"]
+    np.testing.assert_allclose(laid, said["amplitude"] * np.sin(angle), atol=1e-15)
+
+
+def test_a_share_of_creep_is_what_of_the_deflection_has_not_come_at_the_change(space: Workspace) -> None:
+    c = space.context
+    load, hours = space.recording.load, c.hours
+    first = next(k for k in range(1, len(load)) if load[k] != load[k - 1])
+    late = Column("frames", "creep", {"tau": 0.4, "form": "exponential", "frame": 3}).value(c)[first, 3]
+    came = by_payload(c, payload_change(c, first))[first, 3]
+    age = 0.5 * (hours[first] - hours[first - 1])
+    np.testing.assert_allclose(late, -np.exp(-age / 0.4) * c.compliance[first, 3] @ came, rtol=1e-6, atol=1e-12)
+
+
+def payload_change(c: Context, visit: int) -> Array:
+    """(N, 6) at the sensor what the payload of a visit makes more than that of the visit before it."""
+    held, g = payloads_of(c), gravity_at_sensor(c)
+    return weighs((held[visit] - held[visit - 1])[None], g)
 
 
 @pytest.mark.parametrize(
