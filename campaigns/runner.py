@@ -36,7 +36,7 @@ from ppshw.errors import (
     RunFailed,
     Stopped,
 )
-from ppshw.recording import Around, columns_for
+from ppshw.recording import LOAD_AGE, Around, columns_for
 from ppshw.recording_file import RecordingFile
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ class _Run:
     def _open(self, existing: bool, meta: Mapping[str, str], places: list[str]) -> RecordingFile:
         if not existing:
             wanted = [f"wanted_{j}" for j in self._joints] if self._map else []
-            columns = columns_for(self._plan.machine, places, self._plan.extra_targets, wanted)
+            columns = [*columns_for(self._plan.machine, places, self._plan.extra_targets, wanted), LOAD_AGE]
             origin = run_notes.origin(self._plan)
             return RecordingFile.create(self._out, columns, {**meta, **origin, **self._bench.notes})
         file = RecordingFile.open(self._out)
@@ -264,6 +264,7 @@ class _Run:
         rest = self._plan.script.settle_s - (bench.clock.now() - report.ended_at)
         self._wait(rest, report.positions)
         settled_s, time = bench.clock.now() - report.ended_at, self._now()
+        load_age_s = bench.clock.utc().timestamp() - self._put_on
         q = bench.axes.positions()
         shots = self._shots(file, visit, np.array([q[j] for j in self._joints]))
         reading = self._felt(file, visit, q)
@@ -271,6 +272,8 @@ class _Run:
         bench.axes.require_at_rest(q)  # an axis that fell over during the measurement, or was pushed, spoils it
         cells = {"time": time, "step": visit.step, "load": visit.load, "settle_s": f"{settled_s:.3f}"}
         cells |= run_notes.joint_cells(self._joints, commanded, q, approach)
+        if LOAD_AGE in file.columns() and math.isfinite(load_age_s):  # else the recording was begun without it
+            cells[LOAD_AGE] = f"{load_age_s:.1f}"
         for shot in shots:
             cells |= {f"{shot.target}_{axis}": f"{x:.9f}" for axis, x in zip("xyz", shot.xyz.tolist(), strict=True)}
         cells |= {f"temp_{place}_C": f"{value:.4f}" for place, value in temperatures.items()}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import select
 import signal
+import sqlite3
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -275,6 +277,23 @@ def test_a_whole_campaign_ends_in_a_recording_that_the_model_side_reads(situatio
     assert set(recording.temperatures) == {"air", "column", "force_sensor"}
     # one visit: 3 s of motion, 7 s settling, three targets of 2 s each
     np.testing.assert_allclose(np.diff(recording.time), 16.0, atol=1e-3)
+    assert recording.load_age_s is not None  # put on at once before the first visit under it
+    np.testing.assert_allclose(recording.load_age_s, [10.0, 26.0, 42.0] * 2, atol=0.11)
+
+
+def test_a_recording_that_was_begun_without_the_ages_of_its_loads_goes_on_without(situation: Situation) -> None:
+    situation.axes.trouble = (4, DriveFault("yaw", "tripped"))
+    with pytest.raises(DriveFault):
+        situation.run()
+    with closing(sqlite3.connect(situation.out)) as db, db:
+        columns = json.loads(db.execute("SELECT value FROM meta WHERE key = 'columns'").fetchone()[0])
+        columns.remove("load_age_s")
+        db.execute("UPDATE meta SET value = ? WHERE key = 'columns'", [json.dumps(columns)])
+        db.execute("ALTER TABLE visits DROP COLUMN load_age_s")
+    situation.axes.trouble = None
+    situation.run()
+    assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    assert load_recording(situation.out, situation.machine).load_age_s is None
 
 
 def test_what_the_run_was_made_with_is_in_the_recording(situation: Situation) -> None:
