@@ -88,6 +88,24 @@ def test_a_link_of_no_length_is_not_one_that_may_grow(space: Workspace) -> None:
     assert {column.args["joint"] for column in found.near} == {0, 2, 3, 4, 5}
 
 
+def test_a_weight_that_the_file_leaves_out_is_as_large_as_it_is(space: Workspace) -> None:
+    """The compliances of the base fit have part of it: by them it was a tenth too small."""
+    machine, recording, model = space.machine, space.recording, space.base.model
+    joints = list(machine.joints)
+    joints[4] = replace(joints[4], com=joints[4].com + np.array([0.2, 0.0, 0.0]))
+    heavier = replace(model, machine=replace(model.machine, joints=tuple(joints)))
+    situation, theta = Situation.of(recording), space.base.theta
+    moved = heavier.predict(situation, theta) - model.predict(situation, theta)
+    there = prepare(machine, replace(recording, points=recording.points + moved), space.fit)
+    weight = next(k for k in library(there.context) if k.effect == "moving_weight" and k.joint == joints[4].name
+                  and [column.args.get("what") for column in k.columns] == ["x"])  # fmt: skip
+    found = Found(0, ("moving_weight", weight.joint), 0.0, 0.0)
+    take_up(there, Tried(there, [weight], there.unit), [found], and_look=False)
+    values, covariance = by_its_own_form(there, weight, found)
+    assert values[0] == pytest.approx(0.2 * joints[4].mass, rel=0.05)
+    assert values[0] == pytest.approx(0.2 * joints[4].mass, abs=2 * float(np.sqrt(covariance[0, 0])))
+
+
 def test_what_moved_at_a_moment_stood_before_it_where_the_machine_file_has_it(space: Workspace) -> None:
     moved = [k for k in library(space.context) if k.effect == "target_moved"]
     later = next(k for k in moved if "time_h" in k.shape)
