@@ -135,7 +135,7 @@ def size_beyond(space: Workspace, candidate: Candidate, found: Found) -> float:
 def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tuple[Array, Array]:
     """Coefficients (k,) of the finding's own form and their covariance (k, k), as if it had no near forms: what a gap
     or a jump is. Beside near forms, which can be the same or its opposite, they say little."""
-    if candidate.effect == "moving_weight":
+    if candidate.columns[0].function == "body_weight":
         space = _as_stiff_beside(space, candidate, found)
     keep = np.ones(len(space.taken_prior), dtype=bool)
     keep[found.columns(candidate)] = False

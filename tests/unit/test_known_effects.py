@@ -596,14 +596,20 @@ def test_a_correlation_of_another_size_is_refused(rows: list[list[float]]) -> No
         Effect.from_dict({**effect.as_dict(), "correlation": rows})
 
 
-def test_what_the_base_model_would_take_of_effects_must_be_of_its_parameters(tmp_path: Path) -> None:
+def test_what_the_base_model_would_take_of_effects_must_be_of_its_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
     effect = Effect("backlash", "vertical", (column, column), (1e-4, 1e-4), (1e-5, 1e-5), "by hand")
     for_one = replace(effect, mimicked=np.zeros((1, 7)))
     with pytest.raises(ValueError, match="mimicked of backlash is not of 2 rows"):
         Effect.from_dict(for_one.as_dict())
     of_another = replace(base()[1], effects=(replace(effect, mimicked=np.zeros((2, 7))),))
-    of_another.save(tmp_path / "other.json")
+    with pytest.raises(CalibrationError, match=r"not written.*: 'mimicked' of backlash is for 7 parameters, expected"):
+        of_another.save(tmp_path / "other.json")
+    with monkeypatch.context() as unguarded:
+        unguarded.setattr("ppshw.calibration._unfit", lambda _: "")
+        of_another.save(tmp_path / "other.json")
     with pytest.raises(CalibrationError, match=r"damaged: 'mimicked' of backlash is for 7 parameters, expected \d+$"):
         load_calibration(tmp_path / "other.json", load_machine(PPS))
 
