@@ -139,8 +139,8 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
         ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
     slowly = f.name[0] == "drift" and tried.candidates[best].frame == tried.candidates[f.best].frame
     least = max((1.0 + NEARLY) * own - ahead, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
-    # Of many near forms what it says by its bare one alone; but where reflectors are the base model has, too.
-    if every < WITH_ALL and f.name[0] != "target_moved":
+    # Of many near forms what it says by its bare one alone; but where reflectors are the base model may say, too.
+    if every < WITH_ALL and (f.name[0] != "target_moved" or space.machine.tracker.targets_known):
         every = max(every, _bare(space, tried, f, others, pieces))
     behind = rival / HANDICAP > least or against or every < WITH_ALL or f.p > NAMED
     if stands := not (behind or _beside_a_riddle(tried, f, others)):

@@ -272,14 +272,19 @@ def test_a_riddle_that_noise_may_be_leaves_no_name_of_a_smaller_p(
 
 
 @pytest.mark.parametrize(
-    ("effect", "joint", "bare", "stands"),
-    [("creep", NAME, 9.3, True), ("creep", NAME, 5.0, False), ("target_moved", None, 9.3, False)],
-)
+    ("effect", "joint", "known", "bare", "stands"),
+    [("creep", NAME, True, 9.3, True), ("creep", NAME, True, 5.0, False), ("target_moved", None, False, 9.3, False),
+     ("target_moved", None, True, 9.3, True)],
+)  # fmt: skip
 def test_a_name_whose_near_forms_cost_more_than_they_say_stands_by_its_bare_one(
-    space: Workspace, monkeypatch: pytest.MonkeyPatch, effect: str, joint: str | None, bare: float, stands: bool
-) -> None:
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, effect: str, joint: str | None, known: bool, bare: float,
+    stands: bool,
+) -> None:  # fmt: skip
     """A drift of log(1 + t) said 15 by its own form and 4.2 with all that it may be like (a reviewer's); a reflector
-    whose place was to be estimated was said to have moved beside a clearance (another author's 36025)."""
+    whose place was to be estimated was said to have moved beside a clearance (another author's 36025); one whose place
+    is known and that was 45 µm off was nothing that has a name (sealed 55031)."""
+    tracker = replace(space.machine.tracker, targets_known=known)
+    space = replace(space, machine=replace(space.machine, tracker=tracker))
     some = [k for k in named(space, effect) if k.joint == joint][:1] + named(space, "nameless")[:40]
     tried = Tried(space, some, 5e-5)
     monkeypatch.setattr(standing, "_by_itself", lambda *_: (15.0, 4.2, np.zeros(len(some))))
