@@ -144,13 +144,13 @@ def by_its_own_form(space: Workspace, candidate: Candidate, found: Found) -> tup
 
 
 def _as_stiff_beside(space: Workspace, candidate: Candidate, found: Found) -> Workspace:
-    """The workspace with the columns of a finding laid by the compliances that are fitted beside it: those of the base
+    """The workspace with a finding's own columns laid by the compliances that are fitted beside it: those of the base
     fit have part of a weight that the file leaves out, which was too small by them (−0.47 ± 0.01 of −0.495 kg m)."""
     theta = np.zeros(len(space.active))
     theta[space.active] = space.coefficients()[0]
     stiff = compliances(space.base.model, theta, Situation.of(space.recording))
     beside, taken = replace(space.context, compliance=stiff), space.taken.copy()
-    for at, column in enumerate((*candidate.columns, *found.near), found.at):
+    for at, column in enumerate(candidate.columns, found.at):
         taken[:, :, at] = column.evaluate(beside)
     again = copy(space)
     again.take_up(taken, space.taken_prior)

@@ -12,6 +12,7 @@ from collections.abc import Collection
 from ppshw.diagnosis.library import Candidate
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes import Column
 
 # A function of a link's own load that is finest where it changes sign may be clearance. It may say so much more than a
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
@@ -60,12 +61,11 @@ def of_its_kind(
             if named.joint is None:  # every link grows
                 return named.covariate in plain and all(k == named.covariate or k.startswith("q_") for k in plain)
             there = rival.frame == named.frame or _alike(named, rival, parallel)
-            there |= _only_shifts(named, parallel) and any(k.on == "frame" and k.frame == 0 for k in rival.columns)
+            there |= _only_shifts(named, parallel) and any(map(_moves_the_base, rival.columns))
             return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "tracker_scale":  # about wherever the instrument stands
             scales = [column for column in rival.columns if column.function == "scale"]
-            elsewhere = [column for column in rival.columns if column.on == "frame" and column.frame == 0]
-            return bool(scales) and len(scales) + len(elsewhere) == len(rival.columns)
+            return bool(scales) and all(column in scales or _moves_the_base(column) for column in rival.columns)
         case "periodic_transmission":  # a band of waves over its own position, its own among them
             return here and over == {named.covariate} and all(column.function == "wave" for column in rival.columns)
         case "target_moved":
@@ -128,6 +128,10 @@ def _alike(named: Candidate, rival: Candidate, parallel: Collection[str]) -> boo
     """Whether both are shifts, of frames that never turn against the base."""
     shifts = not any((k.component or "").startswith("r") for k in (named, rival))
     return shifts and {rival.frame, named.frame} <= set(parallel)
+
+
+def _moves_the_base(column: Column) -> bool:
+    return column.on == "frame" and column.frame == 0
 
 
 def _only_shifts(named: Candidate, parallel: Collection[str]) -> bool:

@@ -206,9 +206,9 @@ def load_memory(
 
         r = e^(−age/τ)  ("exponential"),   r = 1 − ln(1 + age/τ)/ln(1 + FORGOTTEN/τ), 0 from then on  ("log")
 
-    What hung there before the first visit is taken to have hung there for
-    long; "first" is e^(−t/τ) of it, had it come just when the calibration's recording began (`hours` 0; before that
-    all of it). "last" is what the last change alone does, as the logarithm of its age.
+    What hung there before the first visit is taken to have hung there for long; "first" is e^(−t/τ) of it, had it come
+    just when the calibration's recording began (`hours` 0; before that all of it). "last" is what the last change alone
+    does, as the logarithm of its age.
 
     payload  (N, k) in any measure that adds up
     hours    (N,) of the visits;  came (N,) when the load of each did, as of `changed_at`

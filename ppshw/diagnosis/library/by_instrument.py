@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -29,6 +29,12 @@ LEAST_MISREAD = 5e-6  # m, rms at the reflectors
 MOST_TARES = 24  # changes of the load after each of which a force sensor may have another zero
 
 
+def about_another_place(function: str, args: Mapping[str, object]) -> tuple[Column, ...]:
+    """What distances that are wrong by a factor do besides, where the instrument stands elsewhere than it is said to:
+    everything shifts with the same."""
+    return tuple(Column("frame", function, dict(args), 0, comp) for comp in range(3))
+
+
 def tracker_scale(c: Context) -> Iterator[Candidate]:
     constant = Column("points", "scale", {})
     yield Candidate("tracker_scale", None, None, None, "distance", (constant,))
@@ -38,29 +44,20 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
         grows = Column("points", "scale", {"place": place})
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (grows,), share=0.5 * likely)
         yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (constant, grows), share=0.5 * likely)
-        # about another point than where the instrument is said to stand: everything shifts with the temperature as well
-        shifts = tuple(Column("frame", "temperature", {"place": place, "tau": 0.0}, 0, comp) for comp in range(3))
+        shifts = about_another_place("temperature", {"place": place, "tau": 0.0})
         yield Candidate(
             "tracker_scale", None, None, None, f"temp_{place}_C", (grows, *shifts), share=0.3 * likely, led=True
         )
         for tau in LAGS_H[1:-1]:  # the air in the beam follows the thermometer's
             late, lag = Column("points", "scale", {"place": place, "tau": tau}), {"lag_h": tau}
             yield Candidate("tracker_scale", None, None, None, f"temp_{place}_C", (late,), lag, share=0.05 * likely)
-            shifts = tuple(Column("frame", "temperature", {"place": place, "tau": tau}, 0, comp) for comp in range(3))
+            late_shifts = (late, *about_another_place("temperature", {"place": place, "tau": tau}))
             yield Candidate(
-                "tracker_scale",
-                None,
-                None,
-                None,
-                f"temp_{place}_C",
-                (late, *shifts),
-                lag,
-                share=0.03 * likely,
-                led=True,
+                "tracker_scale", None, None, None, f"temp_{place}_C", late_shifts, lag, share=0.03 * likely, led=True
             )
     for name in nobody_knows(c):  # the air's pressure or humidity, if it is that
         grows = Column("points", "scale", {"name": name})
-        shifts = tuple(Column("frame", "covariate", {"name": name}, 0, comp) for comp in range(3))
+        shifts = about_another_place("covariate", {"name": name})
         for columns in ((grows,), (constant, grows), (grows, *shifts)):
             yield Candidate("tracker_scale", None, None, None, name, columns, share=0.1, led=len(columns) > 2)
 

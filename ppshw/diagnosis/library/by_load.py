@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import elastic_frames, loads_on
+from ppshw.diagnosis.library.sampled import elastic_frames, loads_on, own_component
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.elastic import skew
@@ -212,8 +212,7 @@ def _softer_over_a_stretch(c: Context, frame: int, b: int) -> Iterator[Candidate
 def _softer_one_way(c: Context, frame: int) -> Iterator[Candidate]:
     """A turning joint whose bearing gives way more to tilt in one direction of its housing."""
     joint = c.machine.joints[frame - 1]
-    along = int(np.argmax(np.abs(joint.axis)))
-    across = [3 + k for k in range(3) if k != along and 3 + k in loads_on(c, frame)]
+    across = [b for b in loads_on(c, frame) if b >= 3 and b != own_component(c, frame - 1)]
     if not across:
         return
     columns = tuple(

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ppshw.diagnosis.library.by_instrument import about_another_place
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import LAGS_H, moving_joints, nobody_knows, read_channels, temperature_places
 from ppshw.diagnosis.nameless.rival import late_columns, rival
@@ -71,24 +72,23 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
         ]
         yield replace(rival(c, None, None, names, bends), covariate=f"distance × {' × '.join(names)}")
     yield Candidate("nameless", None, None, None, "distance", tuple(_stretched({})))
-    lags = [(place, {"place": place, "tau": tau}) for place in warm for tau in LAGS_H[:-1]]
-    ways_to_shift: list[tuple[str, Mapping[str, object], str, Mapping[str, object]]] = [
+    ways_to_shift: list[tuple[str, Mapping[str, str], str, Mapping[str, object]]] = [
         *(
-            (f"late_{by['tau']:g}_temp_{place}_C" if by["tau"] else f"temp_{place}_C", by, "temperature", by)
-            for place, by in lags
+            (f"late_{tau:g}_temp_{place}_C" if tau else f"temp_{place}_C", {"place": place}, "temperature",
+             {"place": place, "tau": tau})
+            for place in warm for tau in LAGS_H[:-1]
         ),
         *((name, {"name": name}, "covariate", {"name": name}) for name in nobody_knows(c)),
-    ]
+    ]  # fmt: skip
     for name, how, function, args in ways_to_shift:
         # what lags is the air in the beam, and lengths alone: space that is sheared late would be any far shift
-        stretched = [Column("points", "scale", dict(how))] if how.get("tau") else _stretched(how)
-        # about another point than where the instrument is said to stand: everything shifts as well
-        shifts = [Column("frame", function, dict(args), 0, comp) for comp in range(3)]
-        for columns in (stretched, [*stretched, *shifts]):
+        late = bool(args.get("tau"))
+        stretched = [Column("points", "scale", dict(args))] if late else _stretched(how)
+        for columns in (stretched, [*stretched, *about_another_place(function, args)]):
             yield replace(rival(c, None, None, (name,), columns), covariate=f"distance × {name}")
 
 
-def _stretched(by: Mapping[str, object]) -> list[Column]:
+def _stretched(by: Mapping[str, str]) -> list[Column]:
     """Every way in which the space around the instrument may be stretched or sheared."""
     pairs = itertools.combinations_with_replacement(range(3), 2)
     return [Column("points", "strain", {"first": a, "second": b, **by}) for a, b in pairs]

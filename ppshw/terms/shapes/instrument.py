@@ -19,10 +19,10 @@ def scale(c: Context, place: str = "", tau: float = 0.0, name: str = "") -> Arra
     return _rays(c, place, tau, name)
 
 
-def strain(c: Context, first: int, second: int, place: str = "", tau: float = 0.0, name: str = "") -> Array:
-    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place, lagging by
-    tau hours, per unit of a column with its name."""
-    rays = _rays(c, place, tau, name)
+def strain(c: Context, first: int, second: int, place: str = "", name: str = "") -> Array:
+    """The space around the instrument stretched (twice the same axis) or sheared; per kelvin with a place, per unit of
+    a column with its name."""
+    rays = _rays(c, place, name=name)
     out = np.zeros_like(rays)
     out[..., first], out[..., second] = rays[..., second], rays[..., first]
     return out
