@@ -187,6 +187,7 @@ def _look(
     candidates = named + nameless(space.context, jumps)
     # so many columns would fit anything that few visits say
     candidates = [k for k in candidates if COLUMNS_PER_VISIT * int(space.fit.sum()) >= len(k.columns)]
+    give_back()
     tried = Tried(space, candidates, space.unit, without)
     tell(2)
     earlier = [(k.effect, k.joint) for k in before if k.effect != "nameless"]

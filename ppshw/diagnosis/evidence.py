@@ -119,7 +119,7 @@ class Tried:
             self.laid.information(batch.columns) if batch.columns.shape[1] > 1 else self.seen[batch.columns][:, :, None]
             for batch in self._batches
         ]
-        self._plain_scores = self.laid.product(space.absorb(space.y[:, None]))[:, 0]
+        self._plain_scores = self.laid.product(space.absorb(space.y[:, None]))[:, 0].astype(float)
         self.update()
 
     def update(self, taken: Sequence[Key] = ()) -> None:
@@ -143,13 +143,13 @@ class Tried:
             if self._taken:
                 self._crossing = self._crossed_with(self._taken)
             else:
-                self._crossing = self.laid.product(self._absorbed).T.astype(np.float32)
+                self._crossing = self.laid.product(self._absorbed).T
         return self._crossing
 
     def _crossed_with(self, taken: Sequence[Key]) -> Single:
         new = [k for k, key in enumerate(taken) if key not in self._crossed]
         for k, product in zip(new, self.laid.product(self._absorbed[:, new]).T, strict=True):
-            self._crossed[taken[k]] = product.astype(np.float32)
+            self._crossed[taken[k]] = product
         return np.stack([self._crossed[key] for key in taken])
 
     @property
@@ -195,7 +195,7 @@ class Tried:
         return self._values[key]
 
     # --- evidence ------------------------------------------------------------------------------------------------
-    def evidence(self, scores: Array) -> Array:
+    def evidence(self, scores: Array | Single) -> Array:
         """Log evidence of every candidate for scores (D, K) of all columns: (D, C)."""
         out = np.empty((len(self.candidates), len(scores)))
         of_columns = np.ascontiguousarray(scores.T)
@@ -207,7 +207,7 @@ class Tried:
 
         def of_part(k: int) -> None:
             batch, info, part = parts[k]
-            which, its_scores = batch.which[part], of_columns[batch.columns[part]]
+            which, its_scores = batch.which[part], of_columns[batch.columns[part]].astype(float)
             out[which] = self._evidence(info[part], its_scores)
             if self._way[which].any():
                 out[which] += _of_its_sign(self._way[which], info[part, 0, :1], its_scores[:, 0])
@@ -285,9 +285,11 @@ class Tried:
         weighted += self.log_share[self._sorted, None]
         most = np.maximum.reduceat(weighted, self._starts)
         most = np.where(np.isfinite(most), most, 0.0)
-        away = weighted - np.repeat(most, np.diff(self._starts, append=len(weighted)), axis=0)
+        for part, at in zip(np.split(weighted, self._starts[1:]), most, strict=True):
+            part -= at
+        np.exp(weighted, out=weighted)
         with np.errstate(divide="ignore"):
-            out = most + np.log(np.add.reduceat(np.exp(away), self._starts))
+            out = most + np.log(np.add.reduceat(weighted, self._starts))
         return np.where(self._nameless & (out > 0).T, HANDICAP * out.T, out.T)
 
     def likeliest(self, names: Array) -> int:

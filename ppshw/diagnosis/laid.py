@@ -86,21 +86,23 @@ class Laid:
             raw = np.stack([columns[k].evaluate(space.context) for k in part], axis=2)
             self.scale[part] = np.maximum(np.sqrt((raw**2).sum(axis=(0, 1)) / readings), 1e-30)
             self._fields[first : first + len(part)] = (space.whiten(raw) / self.scale[part]).T
+        self._column = np.argsort(self._place)  # of every row
         self._weights = np.array([(white**2).sum(axis=1) for white in self._white]).reshape(-1, fit)
         self.plain = self._squares()[self._place]
         self._taken, absorbed = self._absorbed(self.absorbing / np.sqrt(1.0 + self.lengths))
         self._seen = self.plain - absorbed[self._place]
 
-    def product(self, x: Array) -> Array:
+    def product(self, x: Array) -> Single:
         """Zᵀ x of every column for x (R, d): (K, d), in single precision."""
-        out = np.empty((len(self.scale), x.shape[1]))
+        out = np.empty((len(self.scale), x.shape[1]), dtype=np.float32)
 
         def of_group(k: int) -> None:
-            out[self._spans[k]] = self._values[self._spans[k]] @ self._along(x, k).astype(np.float32)
+            span = self._spans[k]
+            out[self._column[span]] = self._values[span] @ self._along(x, k).astype(np.float32)
 
         side_by_side(of_group, range(len(self._spans)))
-        out[len(self._values) :] = self._fields @ x.astype(np.float32)
-        return out[self._place]
+        out[self._column[len(self._values) :]] = self._fields @ x.astype(np.float32)
+        return out
 
     def information(self, columns: Indices) -> Array:
         """(C, k) columns of C candidates → (C, k, k) ZᵀV⁻¹Z of each."""
@@ -140,7 +142,7 @@ class Laid:
                 out[row] = (self._values[place, :, None] * self._white[group]).ravel()
         return out
 
-    def of_noise(self, rng: np.random.Generator, draws: int) -> Array:
+    def of_noise(self, rng: np.random.Generator, draws: int) -> Single:
         """(K, draws) Zᵀ V⁻¹ n for n of covariance V: noise, and what the base model may mean besides."""
         meant = self.absorbing @ rng.standard_normal((len(self.lengths), draws))
         return self.product(self.space.absorb(rng.standard_normal((len(meant), draws)) + meant))

@@ -25,6 +25,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.quantities import called
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 # Nine draws of ten of a standard normal are above −1.28.
 NINE_OF_TEN = 1.28
 # Draws of the noise that say which evidence chance alone reaches; what 1 − FIRST of them stay under is good to a third
@@ -37,6 +38,7 @@ SEEN_AT = 6.0
 NEVER = 1.0  # a size [m] that is no answer
 # Names are aliases when so much of what one shows is what another can show as well.
 ALIAS = 0.9
+AT_A_TIME = 32  # names of which the scores of all columns are looked at: of all of them they are as much as the columns
 # √λ between two of them at which half of the recordings would say which (docs/prove.md, half power).
 TOLD_APART = 3.2
 
@@ -113,10 +115,13 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
     forms = np.array([middle for _, middle, _ in spread], dtype=int)
     if not len(forms):
         return []
-    scores = across(tried, directions(tried, forms))
-    needed = _needed(tried, np.array(names), scores, least(tried)) + NINE_OF_TEN
+    enough, needed, alike = least(tried), np.empty(len(names)), np.empty((len(names), len(tried.names)))
+    for at in range(0, len(names), AT_A_TIME):
+        part = slice(at, at + AT_A_TIME)
+        scores = across(tried, directions(tried, forms[part]))
+        needed[part] = _needed(tried, np.array(names[part]), scores, enough) + NINE_OF_TEN
+        alike[part] = mimicked(tried, scores)
     needed[seen[forms] == 0.0] = SEEN_AT  # nothing of the form is left: for the order of magnitude
-    alike = mimicked(tried, scores)
     out = []
     for a, (j, three) in enumerate(zip(names, spread, strict=True)):
         best, typical, worst = (needed[a] * _rms(tried, k) / np.sqrt(max(seen[k], 1e-12)) for k in reversed(three))
@@ -293,12 +298,12 @@ def directions(tried: Tried, forms: NDArray[np.int64], coefficients: Sequence[Ar
     return np.asarray(out / np.sqrt(np.maximum(seen, 1e-24))[:, None])
 
 
-def across(tried: Tried, along: Array) -> Array:
+def across(tried: Tried, along: Array) -> Single:
     """(F, K) scores of all columns for fields along the directions."""
     return tried.laid.product(tried.space.absorb(along.T)).T
 
 
-def evidence_alone(tried: Tried, scores: Array) -> Array:
+def evidence_alone(tried: Tried, scores: Array | Single) -> Array:
     """(D, C) evidence given the base model alone, whatever was taken up since."""
     alone = copy.copy(tried)
     alone._beside = tried._info0
@@ -318,7 +323,7 @@ def evidence_of(tried: Tried, name: Name, scores: Array) -> Array:
     return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + tried.log_share[mine], axis=1))
 
 
-def _needed(tried: Tried, names: NDArray[np.int64], scores: Array, enough: float) -> Array:
+def _needed(tried: Tried, names: NDArray[np.int64], scores: Single, enough: float) -> Array:
     """(F,) the score along each name's form at which the evidence of the name is enough for a first finding."""
     values = []
     for u in LOOKED_AT:
@@ -333,7 +338,7 @@ def _needed(tried: Tried, names: NDArray[np.int64], scores: Array, enough: float
     return np.where(good, np.sqrt(np.clip(square, 1.0, 400.0)), SEEN_AT - NINE_OF_TEN)
 
 
-def mimicked(tried: Tried, scores: Array) -> Array:
+def mimicked(tried: Tried, scores: Array | Single) -> Array:
     """(F, names) the largest share of what each direction shows that a single form of another name shows as well:
 
         gᵀ I⁻¹ g,   g the scores of the form's columns, I their information      (squared multiple correlation)
