@@ -7,12 +7,13 @@ duplicate names and axes that are no unit vectors are errors that name file, lin
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,8 @@ class Machine:
     points: name → (3,) in the end-effector frame [m]; sensor_in_link (4, 4) force sensor in the last link frame.
     bent_by: whose weights bend a joint beside the payload: its "own" and farther links', those of links "beyond" it, or
     none ("payload"). No file says so, a recording may (`identification.own_weight`).
+    sha256  of what the file says of the chain, its loads, its reflectors and where they are measured from, however it
+            is written (`_digest`)
     """
 
     name: str
@@ -198,10 +201,32 @@ def load_machine(path: Path | str) -> Machine:
         section.done()
     tracker = _tracker(top)
     top.done()
-    return Machine(
-        name, gravity, joints, tip_in_link, targets, points, sensor_in_link, repeatability, tracker,
-        str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest(),
+    machine = Machine(
+        name, gravity, joints, tip_in_link, targets, points, sensor_in_link, repeatability, tracker, str(path), ""
     )  # fmt: skip
+    return replace(machine, sha256=_digest(machine))
+
+
+def _digest(machine: Machine) -> str:
+    """SHA-256 of all that a calibration rests on: not limits, nor points of interest, nor what the maker claims."""
+
+    def numbers(values: Array) -> Any:
+        return (values + 0.0).tolist()  # without a sign of zero
+
+    tracker = machine.tracker
+    says = {
+        "name": machine.name, "gravity": numbers(machine.gravity),
+        "joints": [
+            [j.name, j.prismatic, numbers(j.origin), numbers(j.axis), j.mass, numbers(j.com),
+             j.elastic and [list(j.elastic.loads), j.elastic.varies]]
+            for j in machine.joints
+        ],
+        "tip": numbers(machine.tip_in_link), "force_sensor": numbers(machine.sensor_in_link),
+        "targets": [[name, numbers(at)] for name, at in machine.targets.items()],
+        "tracker": [tracker.position_sigma, tracker.base if tracker.base is None else numbers(tracker.base),
+                    tracker.targets_known],
+    }  # fmt: skip
+    return hashlib.sha256(json.dumps(says).encode()).hexdigest()
 
 
 def doubts(machine: Machine) -> list[str]:

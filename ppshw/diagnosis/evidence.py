@@ -285,8 +285,8 @@ class Tried:
         weighted += self.log_share[self._sorted, None]
         most = np.maximum.reduceat(weighted, self._starts)
         most = np.where(np.isfinite(most), most, 0.0)
-        for part, at in zip(np.split(weighted, self._starts[1:]), most, strict=True):
-            part -= at
+        for mine, at in zip(np.split(weighted, self._starts[1:]), most, strict=True):
+            np.subtract(mine, at, out=mine)
         np.exp(weighted, out=weighted)
         with np.errstate(divide="ignore"):
             out = most + np.log(np.add.reduceat(weighted, self._starts))

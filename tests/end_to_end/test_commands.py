@@ -200,7 +200,8 @@ def test_move_drives_to_the_corrected_setpoints_and_only_on_the_machine_that_sta
         assert found["reached"] == pytest.approx(found["setpoints"], abs=1e-6)
         assert found["reached"] != pytest.approx(found["nominal"], abs=1e-6)
     other = hall / "other.yaml"
-    other.write_text("# not the one in the hall\n" + machine_file.read_text(encoding="utf-8"), encoding="utf-8")
+    heavier = machine_file.read_text(encoding="utf-8").replace("mass: 680", "mass: 690")
+    other.write_text(heavier, encoding="utf-8")  # not the one in the hall
     data = json.loads((hall / "cal.json").read_text(encoding="utf-8"))
     data["provenance"]["machine_sha256"] = load_machine(other).sha256
     (hall / "cal.json").write_text(json.dumps({**data, "content_sha256": content_digest(data)}), encoding="utf-8")

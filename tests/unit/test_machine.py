@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
+import copy
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from ppshw.errors import MachineFileError
 from ppshw.machine import Machine, load_machine
@@ -38,7 +42,35 @@ def test_the_least_that_a_file_must_say(tmp_path: Path) -> None:
     assert (machine.points, machine.repeatability) == ({}, None)
     np.testing.assert_array_equal(machine.tracker.base, np.eye(4))
     assert machine.tracker.targets_known
-    assert machine.sha256 == hashlib.sha256(LEAST.encode()).hexdigest()
+
+
+def test_its_hash_is_of_what_it_says_however_that_is_written(tmp_path: Path) -> None:
+    text = (ROOT / "machines/pps.yaml").read_text(encoding="utf-8")
+    machine, said = load_machine(ROOT / "machines/pps.yaml"), yaml.safe_load(text)
+    in_json = json.dumps(dict(reversed(said.items())))
+    for way in (text + "# measured on Monday\n", text.replace("\n", "\r\n"), in_json):
+        assert written(tmp_path, way).sha256 == machine.sha256
+    said["joints"][0]["limits"]["velocity"] /= 2.0  # to be careful
+    said["tip"].setdefault("points", {})["couch end"] = [0.0, 0.2, 1.9]
+    assert written(tmp_path, yaml.safe_dump(said)).sha256 == machine.sha256
+
+    def other(change: Callable[[dict[str, Any]], None]) -> str:
+        changed = copy.deepcopy(said)
+        change(changed)
+        return written(tmp_path, yaml.safe_dump(changed)).sha256
+
+    found = {
+        other(lambda m: m.update(name="its twin")),
+        other(lambda m: m.update(gravity=[0, -9.81, 0])),
+        other(lambda m: m["joints"][1]["link"].update(mass=1.0)),
+        other(lambda m: m["joints"][1]["elastic"].update(varies=False, loads=["Mz"])),
+        other(lambda m: m["joints"][2]["origin"].update(xyz=[0, 0, 1e-6])),
+        other(lambda m: m["tip"]["targets"].update(P1=[0, 0, 0])),
+        other(lambda m: m.update(force_sensor={"origin": {"xyz": [0, 0, 0.01]}})),
+        other(lambda m: m.update(tracker={"base": "estimate"})),
+        machine.sha256,
+    }
+    assert len(found) == 9
 
 
 def test_up_is_against_gravity_and_along_z_where_there_is_none() -> None:
