@@ -217,10 +217,10 @@ def _without(space: Workspace, tried: Tried, found: Sequence[Found]) -> Recordin
     """The recording as it would be without what was found. What the base model would take nearly all of is known by
     what is left alone: where a dead mass of 0.1 mm was said to be one of 0.8, compliances were learnt wrong without it
     (another author's 21087)."""
-    moved = np.zeros_like(space.data)
+    moved, base = np.zeros_like(space.data), space.as_estimated()
     for f in found:
         whole = moved_by(space, tried.candidates[f.best], f)
-        left = space.beyond(whole)
+        left = base.beyond(whole)
         moved += left if TAKEN * np.linalg.norm(left) < np.linalg.norm(whole) else whole
     shift = moved.reshape(space.recording.points.shape)
     return replace(space.recording, points=space.recording.points - shift @ space.base.measuring_in_base[:3, :3])

@@ -33,7 +33,7 @@ NAMELESS_GAIN = 0.99  # held-out rms with a correction that has no name must be 
 
 @dataclass(frozen=True)
 class Carried:
-    """before, after: rms [mm] of held-out readings by the base model, and with all that is carried;
+    """before, after: rms [mm] of held-out readings by the base model as `identify` has it, and with all carried;
     found: every finding with its form, corrections among them; corrections: those, in the answer's words"""
 
     before: float
@@ -61,8 +61,8 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     for f in found:
         f.carried = tried.candidates[f.best].effect != "nameless"
         kept[f.columns(tried.candidates[f.best])] = f.carried
-    before, after = held_out(space, taken[:, :, kept & False], prior[kept & False]), np.inf
-    after = held_out(space, taken[:, :, kept], prior[kept]) if kept.any() else before
+    before = held_out(space.as_estimated(), taken[:, :, kept & False], prior[kept & False])
+    after = held_out(space, taken[:, :, kept], prior[kept])
     for f in found:
         if f.carried or tried.candidates[f.best].covariates != ("time",):
             continue
@@ -90,7 +90,8 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     as_it_was = [f for f in found if f.carried and tried.candidates[f.best].effect == "nameless"]
     words = [_held_words(space, tried.candidates[f.best], f) for f in as_it_was]
     words += [_words(space, left, correction) for left, correction in corrections]
-    return Carried(before, after, _placed(tried, found, beside, corrections), words)
+    some = kept.any() or corrections
+    return Carried(before, after if some else before, _placed(tried, found, beside, corrections), words)
 
 
 def _with(columns: Array, prior: Array, more: Array) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.diagnosis.evidence import LEAST_P
 from ppshw.evaluation import by_visit
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.own_weight import fitted
@@ -85,7 +86,7 @@ class Mistake:
         return {
             "effect": "column_mistake", "joint": None, "frame": None, "component": None, "covariate": self.column,
             "region": None, "parameters": factor,
-            "p_value": 0.0, "rms_mm": None, "weight": 1.0, "alternatives": [], "aliases": [],
+            "p_value": LEAST_P, "rms_mm": None, "weight": 1.0, "alternatives": [], "aliases": [],
             "sentence": f"{self.said}; {how}.",
         }  # fmt: skip
 

@@ -34,6 +34,7 @@ FIRST, FURTHER = 0.05, 1e-3
 LEAST_FIRST, LEAST_FURTHER = 2.0, 3.0
 AMPLITUDES = (1 / 3, 1.0, 3.0)
 DRAWS, FEW = 199, 39
+LEAST_P = 1e-300  # that is said: its logarithm is a number
 PLAIN = 1e-5  # a p that needs no more than a few draws
 TOP = 3  # of these, by which their tail is laid
 LEAST_SHARE = 3e-4
@@ -359,7 +360,7 @@ def p_value(observed: float, null: Array) -> float:
     least = (1 + TOP) / (len(null) + 1)
     if counted > least:
         return float(counted)
-    return float(max(least * np.exp(min(np.sort(null)[-TOP] - observed, 0.0)), 1e-300))
+    return float(max(least * np.exp(min(np.sort(null)[-TOP] - observed, 0.0)), LEAST_P))
 
 
 def corrected_residual(space: Workspace) -> Array:

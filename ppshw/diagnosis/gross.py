@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 from scipy.stats import f as f_distribution
 
-from ppshw.diagnosis.evidence import MOST_OF_NOISE, corrected_residual
+from ppshw.diagnosis.evidence import LEAST_P, MOST_OF_NOISE, corrected_residual
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.recording import Recording, listed
 
@@ -75,8 +75,8 @@ class GrossErrors:
                 "effect": "outliers", "joint": None, "frame": None, "component": None, "covariate": "visit",
                 "region": [visits[0] + 1, visits[-1] + 1], "visits": [v + 1 for v in visits],
                 "parameters": {"visits": {"value": len(visits), "std": 0, "unit": "1"}},
-                "p_value": self.p if self.visits else 0.0, "rms_mm": self.size, "weight": 1.0, "alternatives": [],
-                "aliases": [], "sentence": sentence,
+                "p_value": max(self.p if self.visits else 0.0, LEAST_P), "rms_mm": self.size, "weight": 1.0,
+                "alternatives": [], "aliases": [], "sentence": sentence,
             }
         ]  # fmt: skip
 

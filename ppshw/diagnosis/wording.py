@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -210,9 +211,11 @@ def history_of(said: Sequence[tuple[str, str]]) -> str | None:
 
 
 def _where_it_acts(candidate: Candidate) -> str:
-    """The column whose range is a finding's region: of a load the one on its frame, not the sensor's channel."""
-    of_frame = candidate.frame is not None and candidate.covariate in WRENCH_COMPONENTS
-    return f"on_{candidate.frame}_{candidate.covariate}" if of_frame else candidate.covariate
+    """The column whose range is a finding's region: of a load the one on its frame, not the sensor's channel; of the
+    direction of a joint's motion its travel."""
+    if candidate.frame is not None and candidate.covariate in WRENCH_COMPONENTS:
+        return f"on_{candidate.frame}_{candidate.covariate}"
+    return re.sub("^approach_", "q_", candidate.covariate)
 
 
 def _region(space: Workspace, covariate: str) -> list[float] | None:

@@ -110,6 +110,18 @@ class Workspace:
         final.take_up(self.taken, self.taken_prior)
         return final
 
+    def as_estimated(self) -> Workspace:
+        """The same with the parameters of the base model's estimate alone, which takes known reflectors to be where the
+        machine file has them, and nothing taken up."""
+        if not self.machine.tracker.targets_known:
+            return self
+        keep = np.flatnonzero(self.active) < len(self.active) - 3 * len(self.machine.targets)
+        active = self.active.copy()
+        active[-3 * len(self.machine.targets) :] = False
+        return replace(
+            self, design=self.design[:, :, keep], prior=self.prior[keep], caution=self.caution[keep], active=active
+        )  # fmt: skip
+
     @property
     def calmed(self) -> bool:
         """Whether some visits were found to swing more than others."""

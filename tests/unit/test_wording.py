@@ -141,6 +141,8 @@ def test_the_region_of_a_load_is_of_the_one_that_acts_there(context: Context) ->
     assert _where_it_acts(falls) == f"on_{falls.frame}_{falls.covariate}"
     sensor = next(k for k in library(context) if k.effect == "wrench_error" and k.covariate == "Mx")
     assert _where_it_acts(sensor) == "Mx"
+    play = next(k for k in library(context) if k.effect == "backlash")
+    assert (play.covariate, _where_it_acts(play)) == (f"approach_{play.joint}", f"q_{play.joint}")
 
 
 def test_where_nothing_was_found_it_is_said_from_which_size_on_something_would_have_been() -> None:

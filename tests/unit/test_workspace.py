@@ -311,6 +311,17 @@ def test_reflectors_say_how_well_they_are_known_but_for_one_that_moved(
     assert (there.reflectors_off is None) == (most < 2e-5)  # what is said of them
 
 
+def test_an_estimate_takes_known_reflectors_to_be_where_the_file_has_them(space: Workspace) -> None:
+    shift = np.zeros(space.recording.points.shape)
+    shift[:, 1] = tip_poses(space.machine, space.recording.q)[:, :3, :3] @ [0.0, 2e-4, 0.0]
+    moved, estimated = shift.reshape(space.data.shape), space.as_estimated()
+    assert space.rms(space.beyond(moved)) < 0.2 * space.rms(moved) < 0.4 * space.rms(estimated.beyond(moved))
+    assert estimated.active.sum() == estimated.design.shape[2] == space.active.sum() - 9
+    tracker = replace(space.machine.tracker, targets_known=False)
+    unknown = replace(space, machine=replace(space.machine, tracker=tracker))
+    assert unknown.as_estimated() is unknown
+
+
 def test_a_reflector_displaced_from_the_start_is_sought_though_one_direction_never_shows(space: Workspace) -> None:
     """Out of the plane of three reflectors the end effector's own tilt is the same thing."""
     always = [k for k in library(space.context) if k.effect == "target_moved" and not k.shape]
