@@ -163,6 +163,29 @@ class Calibration:
         return [Identified(name, unit, low, high, margin * (high - low) + slack) for name, unit, slack, (low, high)
                 in zip(WRENCH_COMPONENTS, units, slacks, self.payload_range.tolist(), strict=True)]  # fmt: skip
 
+    def outside(
+        self, q: Array, payload: Array, joints: float = RANGE_MARGIN, loads: float = RANGE_MARGIN
+    ) -> list[str]:  # fmt: skip
+        """What of joint values (n,) and a payload (6,) lies farther outside what was identified than these shares of
+        its range, each in words: joints first, then loads, the farthest first (a moment as a force on a lever of a
+        metre)."""
+        said = [
+            f"joint '{joint.name}' at {value:.6g} {joint.unit} is outside what was identified, "
+            f"{joint.low:.6g} … {joint.high:.6g}"
+            for joint, value in zip(self.identified_joints(joints), q.tolist(), strict=True) if joint.is_outside(value)
+        ]  # fmt: skip
+        beyond = [
+            (load, value)
+            for load, value in zip(self.identified_loads(loads), payload.tolist(), strict=True)
+            if load.is_outside(value)
+        ]
+        beyond.sort(key=lambda one: -max(one[0].low - one[1], one[1] - one[0].high))
+        return said + [
+            f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
+            f"{load.low:.6g} … {load.high:.6g}"
+            for load, value in beyond
+        ]
+
     def continued(self, recording: Recording) -> tuple[Recording, Mask]:
         """A recording with what this calibration knows of the visits before and between its own, and which rows are
         its own (N,): `earlier.continued`. That which the calibration was made from stands for itself.

@@ -149,6 +149,9 @@ def build_parser() -> argparse.ArgumentParser:
                        help="most that a prismatic joint may be corrected (default: 0.03)")  # fmt: skip
         p.add_argument("--max-angle", type=positive, default=0.03, metavar="RAD",
                        help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
+        p.add_argument("--max-beyond", type=positive, metavar="SHARE",
+                       help="how far a joint or a load may lie beyond what was identified, as a share of that range "
+                       "(default: 0.05 for joints, 0.1 for loads)")  # fmt: skip
         p.add_argument("--from", dest="start", nargs="+", metavar="Q1 … QN",
                        help="joint values that the move starts from: they tell the directions of approach")  # fmt: skip
         p.add_argument("--approach", nargs="+", action="extend", metavar="JOINT=+1 …",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     """What corrects setpoints by the calibration, and warnings: of what it was made from, and of options that it
     has no use for."""
     from ppshw.calibration import load_calibration
-    from ppshw.compensation import Bounds, Compensator
+    from ppshw.compensation import Compensator
 
     calibration = load_calibration(a.calibration, machine_of(a))
     warnings = calibration.doubts()
@@ -66,7 +67,14 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
             warnings.append(f"--temperature {place}: what goes with it has no name, and no axis is driven by it")
         else:
             warnings.append(f"--temperature {place}: no effect here goes with it, it changes nothing")
-    return Compensator(calibration, Bounds(a.max_travel, a.max_angle)), warnings
+    return Compensator(calibration, _bounds(a)), warnings
+
+
+def _bounds(a: argparse.Namespace) -> Any:
+    from ppshw.compensation import Bounds
+
+    bounds = Bounds(a.max_travel, a.max_angle)
+    return bounds if a.max_beyond is None else replace(bounds, joints=a.max_beyond, loads=a.max_beyond)
 
 
 def check_point(name: str, machine: Any) -> None:
@@ -97,6 +105,8 @@ def _corrected(
         setpoints = compensator.for_pose(from_xyz_rpy(pose[:3], pose[3:]), payload, a.point, near, given)
     if warnings is not None:
         warnings += compensator.calibration.other_sides(setpoints.approach)
+        outside = compensator.calibration.outside(setpoints.nominal, payload)
+        warnings += [f"{each}: carried on there" for each in outside]
     names = machine.joint_names
     answer = {
         "setpoints": dict(zip(names, setpoints.corrected.tolist(), strict=True)),
@@ -167,8 +177,6 @@ def move(a: argparse.Namespace) -> None:
 
 def _found_there(given: Any, site: Any, here: dict[str, float], felt: dict[str, float]) -> Any:
     """The circumstances as the site has them; what an option says goes before it."""
-    from dataclasses import replace
-
     start = np.array([here[j] for j in site.machine.joint_names]) if given.start is None else given.start
     around = replace(given.around, temperatures={**felt, **given.around.temperatures})
     return replace(given, start=start, run_up=run_up(site), around=around)

@@ -32,13 +32,15 @@ Array = NDArray[np.float64]
 class Bounds:
     """How far a corrected setpoint may lie from the wanted one, and how far outside what was identified one may go.
 
-    travel        [m] per prismatic joint;  angle  [rad] per revolute joint
-    range_margin  share of the identified range of a joint or load component that is tolerated beyond its ends
+    travel  [m] per prismatic joint;  angle  [rad] per revolute joint
+    joints, loads  share of the identified range of a joint, or load component, that is tolerated beyond its ends:
+                   geometry is held there, while deflections go on in proportion
     """
 
     travel: float = 0.03
     angle: float = 0.03
-    range_margin: float = 0.02
+    joints: float = 0.05
+    loads: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -247,21 +249,9 @@ class Compensator:
         return np.asarray(variance)
 
     def _refuse_outside(self, q: Array, payload: Array) -> None:
-        margin = self.bounds.range_margin
-        for joint, value in zip(self.calibration.identified_joints(margin), q.tolist(), strict=True):
-            if joint.is_outside(value):
-                raise CompensationRefused(
-                    f"joint '{joint.name}' at {value:.6g} {joint.unit} is outside what was identified, "
-                    f"{joint.low:.6g} … {joint.high:.6g}"
-                )
-        loads = zip(self.calibration.identified_loads(margin), payload.tolist(), strict=True)
-        outside = [(load, value) for load, value in loads if load.is_outside(value)]
-        if outside:  # the one that is farthest, as a force or a moment on a lever of a metre
-            load, value = max(outside, key=lambda one: max(one[0].low - one[1], one[1] - one[0].high))
-            raise CompensationRefused(
-                f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
-                f"{load.low:.6g} … {load.high:.6g}"
-            )
+        outside = self.calibration.outside(q, payload, self.bounds.joints, self.bounds.loads)
+        if outside:
+            raise CompensationRefused(outside[0])
 
     def _refuse_correction(self, corrected: Array, nominal: Array) -> None:
         lower, upper = self.machine.limits()

@@ -177,7 +177,7 @@ def _allowed(slow: Compensator) -> Allowed:
     from ppshw.compensation.fast_kernel import Allowed
 
     c, bounds, machine = slow.calibration, slow.bounds, slow.machine
-    identified = (c.identified_joints(bounds.range_margin), c.identified_loads(bounds.range_margin))
+    identified = (c.identified_joints(bounds.joints), c.identified_loads(bounds.loads))
     ends = [np.array([[each.low - each.slack, each.high + each.slack] for each in some]) for some in identified]
     correction = np.array([bounds.travel if j.prismatic else bounds.angle for j in machine.joints])
     return Allowed(ends[0], ends[1], correction, np.stack(machine.limits(), axis=1))

@@ -737,7 +737,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "a calibration nowhere": ("identify good.csv --machine machine.yaml --out no/c.json", "the folder no does not exist"),
     "a run nowhere": ("run little.yaml --site site.yaml --out no/new.db", "no/new.db: the folder no does not exist"),
     "a run whose corrections are refused": ("run little.yaml --site site.yaml --out new.db --calibration cal.json",
-                                            "little.yaml:8: step sweep, visit 1: joint 'rail' at -0.8 m is outside what was identified"),
+                                            "little.yaml:8: step sweep, visit 1: corrected setpoint of joint 'rail' -0.801097 m is beyond its limits"),
     "an import over a file": ("import good.csv --machine machine.yaml --out good.db", "good.db: exists already"),
     "an import onto itself": ("import good.csv --machine machine.yaml --out good.csv", "good.csv: is what is read here"),
     "an export onto itself": ("export good.db good.db", "good.db: is what is read here"),

@@ -396,6 +396,10 @@ def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | P
                      refused(tmp_path, *compensate, "--pose", "0 0 9 0 0 0"))  # fmt: skip
     heavy = [*compensate[:5], "--joints", "0 0 0.5 0 0 0", "--wrench", "0 -9000 0 0 0 0"]
     assert "load Fy = -9000 N is outside what was identified" in refused(tmp_path, *heavy)
+    bold = ppshw(*heavy, "--max-beyond", "9", "--json")
+    assert bold.code == 0
+    (warning,) = [w for w in json.loads(bold.out)["warnings"] if "Fy" in w]
+    assert warning.endswith("carried on there")
     timid = [*compensate, "--joints", "0.1 0.2 0.5 0.3 0 0", "--max-travel", "1e-6"]
     assert re.search(r"joint '\w+' would be corrected by \S+ m, the bound is 1e-06", refused(tmp_path, *timid))
 
