@@ -248,7 +248,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
     return Recording(
         joint_names=joints,
         target_names=tuple(machine.targets),
-        time=cells.times("time") if "time" in cells else unknown,
+        time=cells.times("time") if "time" in cells and any(cells.raw("time")) else unknown,
         step=cells.texts("step"),
         load=cells.texts("load"),
         q=q,

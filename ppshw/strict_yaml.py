@@ -19,6 +19,7 @@ from ppshw.errors import BadInput
 REQUIRED: Any = object()
 # Nothing in these files is larger than a time of day in seconds; beyond, squares of lengths would overflow.
 LARGEST = 1e12
+NOTHING = "tag:yaml.org,2002:null"  # what stands for an optional key that is not there
 
 
 class Section:
@@ -158,8 +159,9 @@ class Section:
 
     def _take(self, key: str, optional: bool, wanted: str) -> yaml.Node | None:
         self._read.add(key)
-        if key in self._nodes:
-            return self._nodes[key]
+        node = self._nodes.get(key)
+        if node is not None and not (optional and node.tag == NOTHING):
+            return node
         if not optional:
             self.fail(f"missing key '{self._path(key)}' (expected {wanted})")
         return None

@@ -102,6 +102,8 @@ def test_time_is_utc_whatever_way_it_is_written(tmp_path: Path) -> None:
     found = read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *(f"{t},0,0,0,0,0" for t in written))
     start = datetime(2026, 3, 2, 6, tzinfo=UTC).timestamp()
     assert (found.time - start).tolist() == [0, 1, 2, 2]  # two visits in one second are no step back
+    empty = read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", ",0,0,0,0,0", ",0,0,0,0,1")
+    assert np.isnan(empty.time).all()  # a column without a single time is none
 
 
 def test_a_thermometer_s_broken_cells_are_empty_ones(tmp_path: Path) -> None:
