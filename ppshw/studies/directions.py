@@ -43,11 +43,11 @@ def summarise(outcome: Outcome) -> tuple[Rows, Json]:
         ]
     for k, axis in enumerate(AXES):
         edges = np.quantile(at[:, k], [0.0, 1 / 3, 2 / 3, 1.0])
-        for low, high in itertools.pairwise(edges):
-            inside = (at[:, k] >= low) & (at[:, k] <= high)
+        third = np.digitize(at[:, k], edges[1:-1])  # an edge belongs to the third above it
+        for j, (low, high) in enumerate(itertools.pairwise(edges)):
             for what in ("residual", "model"):
                 where = f"length, {axis[0]} {low / 1e3:.2f} … {high / 1e3:.2f} m"
-                rows.append(_row(WHATS[what], where, _all(outcome, what, 1e-3)[inside], None))
+                rows.append(_row(WHATS[what], where, _all(outcome, what, 1e-3)[third == j], None))
     return rows, more
 
 

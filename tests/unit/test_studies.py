@@ -91,6 +91,10 @@ def test_a_positioner_errs_downwards_and_what_is_left_points_any_way(tmp_path: P
     assert np.linalg.norm(main["direction"]) == pytest.approx(1.0)
     lengths = [rows["residual", c]["rms"] for c in ("x (lateral)", "y (vertical)", "z (longitudinal)")]
     assert rows["residual", "length"]["rms"] == pytest.approx(np.linalg.norm(lengths))
+    for axis in "xyz":  # a visit on an edge is in one third alone
+        thirds = [r["visits"] for (error, what), r in rows.items() if error == "residual" and f"length, {axis}" in what]
+        assert len(thirds) == 3
+        assert sum(thirds) == rows["residual", "length"]["visits"]
 
 
 def test_the_same_study_again_reads_what_it_did(tmp_path: Path) -> None:
