@@ -110,17 +110,15 @@ class Posterior:
         found = np.linalg.inv(np.linalg.inv(self.covariance) + more)
         self.covariance = 0.5 * (found + found.T)
 
-    @property
-    def mean_variance(self) -> float:
-        """Of the point over the work [m²], all three directions together."""
-        unseen = float(np.trace(self._unseen, axis1=1, axis2=2).mean())
-        return float(np.sum(self.metric * self.covariance)) + unseen
+    def spread(self) -> Array:
+        """How far the model may be off the point over the work: covariances (T, 3, 3) [m²]."""
+        rows = self._rows.reshape(self._unseen.shape[0], 3, -1)
+        seen = (self._rows @ self.covariance).reshape(rows.shape) @ np.swapaxes(rows, 1, 2)
+        return np.asarray(seen + self._unseen)
 
     def accuracy(self) -> tuple[float, float]:
         """98.6 % of the distance between model and point over the work, without and with noise [m]."""
-        tests = len(self._unseen)
-        rows = self._rows.reshape(tests, 3, -1)
-        spread = (self._rows @ self.covariance).reshape(rows.shape) @ np.swapaxes(rows, 1, 2) + self._unseen
+        spread = self.spread()
         return quantile(spread), quantile(spread + self.work.noise)
 
 
