@@ -56,6 +56,7 @@ def kinematics(task: Any) -> dict[str, Any]:
         "joint_jacobian": peer_tasks.microseconds(robot.jacobian_world, task["q"], rounds),
         "error_jacobian": peer_tasks.microseconds(errors, task["q"][: max(10, len(task["q"]) // 10)], rounds),
         "tips": [robot.fk(q)[:3, 3] / 1e3 for q in task["q"][:5]],
+        "jacobians": [robot.jacobian_world(q)[:3] / 1e3 for q in task["q"][:5]],
     }
 
 

@@ -17,8 +17,9 @@ import numpy as np
 def microseconds(run: Callable[[Any], Any], poses: Any, rounds: int) -> list[float]:
     """Microseconds per pose of every round, one call of `run` per pose: none of the peers takes many at once.
 
-    Processor time, as in figures.py.
+    Processor time, as in figures.py; a first call does not count.
     """
+    run(poses[0])
     out = []
     for _ in range(rounds):
         started = time.process_time()

@@ -6,11 +6,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import figures, peers
+from ppshw.kinematics import point_positions
+from ppshw.machine import Machine, load_machine
 
 ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def ur5() -> Machine:
+    return load_machine(ROOT / "machines/real/ur5.yaml")
 
 
 @pytest.mark.parametrize(
@@ -43,6 +51,38 @@ def test_without_the_measured_arm_the_calibration_is_left_out_and_said_so(
     monkeypatch.setattr(peers, "PEERS", {})
     peers.main()
     assert f"No calibration: {tmp_path}/grid.csv is not there." in capsys.readouterr().out
+
+
+def test_the_forward_solution_that_is_timed_is_of_the_reflector_as_the_peers_is(ur5: Machine) -> None:
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (4, ur5.n))
+    runs = peers.solutions(ur5, q)
+    positions = runs["forward"]()
+    assert positions == pytest.approx(point_positions(ur5, q, ur5.target_array))
+    step = np.zeros(ur5.n)
+    step[2] = 1e-6
+    moved = (point_positions(ur5, q + step, ur5.target_array) - positions) / 1e-6
+    assert runs["joint_jacobian"]()[..., 2] == pytest.approx(moved, abs=1e-5)
+
+
+def test_a_jacobian_that_took_less_than_the_forward_solution_in_it_is_no_figure() -> None:
+    possible = {"forward": [1.2, 1.9], "joint_jacobian": [1.5, 1.6], "error_jacobian": [1.3]}
+    peers.plausible(possible)
+    with pytest.raises(SystemExit, match=r"joint Jacobian 1\.1 µs per pose, the forward solution in it 1\.2: .* again"):
+        peers.plausible({**possible, "joint_jacobian": [1.4, 1.1]})
+    with pytest.raises(SystemExit, match="error Jacobian"):
+        peers.plausible({**possible, "error_jacobian": [1.1]})
+
+
+def test_a_peer_with_another_arm_is_refused_by_its_reflector_or_by_its_joints_axes(ur5: Machine) -> None:
+    runs = peers.solutions(ur5, np.zeros((2, ur5.n)))
+    tips, jacobians = runs["forward"]()[:, 0], runs["joint_jacobian"]()[:, 0]
+    answer = {"tips": tips.tolist(), "jacobians": jacobians.tolist()}
+    peers.same_arm("peer", answer, tips, jacobians)
+    peers.same_arm("peer", {"tips": tips.tolist()}, tips, jacobians)  # robotkinecal has none
+    with pytest.raises(RuntimeError, match="peer has another arm: its reflector is off by 2 mm"):
+        peers.same_arm("peer", {"tips": (tips + 2e-3).tolist()}, tips, jacobians)
+    with pytest.raises(RuntimeError, match=r"peer has another arm: its joint Jacobian is off by 0\.5 mm/rad"):
+        peers.same_arm("peer", {**answer, "jacobians": (jacobians + 5e-4).tolist()}, tips, jacobians)
 
 
 def test_a_command_replaces_its_own_table_and_leaves_the_rest_of_the_file(tmp_path: Path) -> None:
