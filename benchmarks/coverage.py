@@ -1,6 +1,6 @@
 """How often the truth lies within the 95 % intervals that an identification states, on visits it has not seen.
 
-    python -m benchmarks.coverage [--seeds 20] [--visits 669 300 100] [--machine FILE] [--short]
+    python -m benchmarks.coverage [--seeds 20] [--visits 669 300 100 67] [--machine FILE] [--short]
 
 One simulated machine per seed, random campaigns, 110 other random visits each. Every coordinate counts by itself.
 *prediction*: where the treatment point is without the arrival's random part, against the parameters' covariance alone.
@@ -10,6 +10,7 @@ One simulated machine per seed, random campaigns, 110 other random visits each. 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def readings(found: Estimate, unseen: Recording) -> tuple[float, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--visits", type=int, nargs="+", default=[669, 300, 100])
+    parser.add_argument("--visits", type=int, nargs="+", default=[669, 300, 100, 67])
     parser.add_argument("--machine", type=Path, default=ROOT / "machines/pps.yaml")
     parser.add_argument("--short", action="store_true", help="two seeds, 100 visits")
     given = parser.parse_args()
@@ -89,7 +90,8 @@ def main() -> None:
                 str(visits), number(prediction.mean()), f"{prediction.min():.0f} … {prediction.max():.0f}",
                 number(reading.mean()), f"{reading.min():.0f} … {reading.max():.0f}", f"{found[:, 2].mean() / 100:.3f}",
             ])  # fmt: skip
-    print(f"`python -m benchmarks.coverage`, {given.machine.name}, {seeds} machines: % within 95 %; bar 93 … 97")
+    command = " ".join(["python -m benchmarks.coverage", *sys.argv[1:]])
+    print(f"`{command}`, {given.machine.name}, {seeds} machines: % within 95 %; bar 93 … 97")
     header = ["visits", "predictions", "least … most", "readings", "least … most", "log score"]
     print("\n" + table(header, rows))
 

@@ -27,7 +27,7 @@ def ur5() -> Machine:
         ("peers", ["| ppshw |", "µs per pose"]),
         ("identify", ["bare gelsd", "ms per visit"]),
         ("compensate", ["ordinary scheduling", "In bulk"]),
-        ("coverage", ["| 100 |", "log score"]),
+        ("coverage", ["`python -m benchmarks.coverage --short`, pps.yaml", "| 100 |", "log score"]),
         ("noise_forms", ["| pps | each its own |", "chosen"]),
         ("designed", ["| designed, 12 |", "noise alone"]),
     ],
