@@ -10,6 +10,7 @@ noise and with the one that the estimate chooses. Larger is better; 0.01 per coo
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections import Counter
 from dataclasses import replace
@@ -76,7 +77,8 @@ def main() -> None:
             for way in ["each its own"] if given.short else WAYS:
                 rows.append([name, way, *row(ROOT / f"machines/{name}.yaml", way, seeds, visits, Path(folder))])
     header = ["machine", "scatters", *(form.name.lower() for form in Form), "chosen", "which"]
-    print(f"`python -m benchmarks.noise_forms`: log score per coordinate, {visits} visits, mean of {seeds} machines\n")
+    command = " ".join(["python -m benchmarks.noise_forms", *sys.argv[1:]])
+    print(f"`{command}`: log score per coordinate, {visits} visits, mean of {seeds} machines\n")
     print(table(header, rows))
 
 
