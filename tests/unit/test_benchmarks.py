@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import figures, peers
+from benchmarks import figures, peers, visibility
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine, load_machine
 
@@ -30,6 +30,7 @@ def ur5() -> Machine:
         ("coverage", ["`python -m benchmarks.coverage --short`, pps.yaml", "| 100 |", "log score"]),
         ("noise_forms", ["| pps | each its own |", "chosen"]),
         ("designed", ["| designed, 12 |", "noise alone"]),
+        ("visibility", ["| backlash | play |", "By its own name, noise as identified"]),
     ],
 )
 def test_each_short_benchmark_prints_its_table_and_writes_nothing(command: str, expected: list[str]) -> None:
@@ -51,6 +52,13 @@ def test_without_the_measured_arm_the_calibration_is_left_out_and_said_so(
     monkeypatch.setattr(peers, "PEERS", {})
     peers.main()
     assert f"No calibration: {tmp_path}/grid.csv is not there." in capsys.readouterr().out
+
+
+def test_the_visibility_of_cases_none_of_which_is_looked_at_name_by_name_is_their_table() -> None:
+    row = ["backlash", "play", "yaw", "backlash", "0.5", "0.5", "9.0", "9.0"]
+    text = visibility.said([row], np.ones(1), np.ones(1), visibility.Counted([], [], [], [], []), 60, 1)
+    assert "| backlash | play | yaw |" in text
+    assert "(b)" not in text
 
 
 def test_the_forward_solution_that_is_timed_is_of_the_reflector_as_the_peers_is(ur5: Machine) -> None:
