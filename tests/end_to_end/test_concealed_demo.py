@@ -8,8 +8,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from ppshw.demo_concealed import run_concealed, sentences
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
@@ -81,5 +79,9 @@ def test_a_drift_is_found_and_no_gain_is_claimed_for_it(tmp_path: Path) -> None:
     assert found["taken_out"] == []
     assert [v["effect"] for v in found["not_compensated"]] == ["drift"]
     assert "cannot be known" in found["not_compensated"][0]["why"]
-    # neither better nor worse than the base calibration: what is measured is the drift since
-    assert found["extended"]["rms_mm"] == pytest.approx(found["base"]["rms_mm"], rel=0.3)
+    # no worse than the base calibration, and hardly better: both have the drift since, the base calibration's constants
+    # some of that of the diagnosis as well (0.72 to 1.03 of its rms over seven pairs of seeds, 0.93 here)
+    assert 0.7 * found["base"]["rms_mm"] < found["extended"]["rms_mm"] < 1.1 * found["base"]["rms_mm"]
+    lines = sentences(found, [])
+    assert any(line.startswith("not compensated, 12 visits: drift") for line in lines)
+    assert not any(line.startswith("compensated") for line in lines)
