@@ -26,7 +26,7 @@ from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.recording import Around, Recording, load_recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import Effect
+from ppshw.terms.effect import Effect, instrument_error
 from ppshw.terms.history import hours_since_change
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.covariates import loads_came
@@ -639,6 +639,20 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     found = asked(knowing("tracker_scale", None, Column("points", "scale"), 1e-4))
     np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
     assert "an error of the instrument, not of the machine" in found.effects[0].why
+
+
+def test_a_point_is_read_farther_off_along_its_beam_and_not_where_a_reflector_moved_to() -> None:
+    """A tenth of a per mille of four metres. Another point stays where it is when a reflector slips in its nest."""
+    calibration, recording = base()[1], measured()
+    beam = np.random.default_rng(3).normal(size=(len(recording), 3))
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    points = calibration.measuring_in_base[:3, 3] + 4.0 * beam
+    scale = Effect("tracker_scale", None, (Column("points", "scale"),), (1e-4,), (1e-6,), "by hand")
+    slipped = Column("points", "target_shift", {"target": 0, "axis": 1})
+    moved = Effect("target_moved", None, (slipped,), (5e-4,), (1e-6,), "by hand")
+    frame = calibration.measuring_in_base
+    found = instrument_error([scale, moved], calibration.model, calibration.theta, recording, frame, {}, points)
+    np.testing.assert_allclose(found, 4e-4 * beam, atol=1e-12)
 
 
 @pytest.mark.parametrize(
