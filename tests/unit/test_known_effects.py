@@ -521,6 +521,19 @@ def test_which_side_a_joint_comes_from_makes_unsure_by_half_the_gap_where_nobody
     assert along_y(lost_motion(), start=BELOW) == pytest.approx(0.05 * GAP / 2, rel=0.01)
 
 
+def test_a_gap_that_was_measured_from_below_alone_makes_unsure_only_from_above() -> None:
+    """From below it is a shift of the joint, of which the base model has the less the larger the gap is: their sum is
+    known whatever each of them is. From above they are apart by the whole gap, twice what its half is unsure by."""
+    gap = lost_motion().calibration.effects[0]
+    parameters = [p.name for p in base()[1].model.parameters()]
+    shift = np.array([[float(name == "vertical.ty[0]") for name in parameters]])
+    assert shift.sum() == 1.0
+    known = Compensator(replace(lost_motion().calibration, effects=(replace(gap, mimicked=shift),)))
+    plain = asked(Compensator(base()[1])).std
+    np.testing.assert_allclose(asked(known, start=BELOW).std, plain, rtol=1e-3)
+    assert along_y(known, start=ABOVE) == pytest.approx(2 * gap.std[0], rel=0.01)
+
+
 def test_a_temperature_that_nobody_knows_makes_unsure_by_what_it_ran_through() -> None:
     """Evenly between 19 and 25 °C, in three steps: a standard deviation of 6 √(2/27) K."""
     column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
