@@ -10,16 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
 
 from ppshw.calibration import Calibration, content_digest, load_calibration
 from ppshw.diagnosis import diagnose
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
 from ppshw.identification import identify
+from ppshw.identification.joint import Estimate
+from ppshw.identification.noise import Noise
+from ppshw.identification.own_weight import log_evidences
+from ppshw.identification.start import to_base
+from ppshw.identification.structure import joint_model
 from ppshw.kinematics import frames
 from ppshw.machine import BentBy, Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.statics import link_wrenches
+from ppshw.terms import Situation
 from simulators import chain as kinematics
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
@@ -105,3 +113,28 @@ def test_nothing_is_missing_however_a_machine_s_own_weights_bend_it(measured: Me
     found = diagnose(machine, recording)
     assert found.answer["verdict"] == "consistent"
     assert found.space.machine.bent_by == bent_by
+
+
+def test_the_likelihood_of_two_fits_is_that_of_the_normal_distribution_of_all_their_readings(tmp_path: Path) -> None:
+    """The whole covariance of a dozen visits laid out, two readings lost; two fits with other strengths and noise."""
+    csv = simulate_recording_csv(Plant.from_file(ARM.file, seed=5), tmp_path / "r.csv", 12, np.random.default_rng(1))
+    recording = load_recording(csv, ARM)
+    recording.points[3, 1] = recording.points[7, 0] = np.nan
+    model, rng = joint_model(ARM, recording, waves=2), np.random.default_rng(2)
+    parameters = model.parameters()
+    frame, rows = ARM.tracker.base, np.repeat(recording.seen, 3, axis=1).ravel()
+    assert frame is not None
+    fits, expected = [], []
+    for times, noise in ((1.0, Noise(np.diag([4e-9, 2e-9, 1e-9, 4e-10, 3e-10, 2e-10]), 2e-5)),
+                         (0.2, Noise(np.eye(6) * 1e-8, 5e-5))):  # fmt: skip
+        groups = {p.group: times * p.start for p in parameters}
+        prior = np.array([groups[p.group] * p.scale for p in parameters])
+        theta = 0.1 * prior * rng.normal(size=len(prior))
+        fits.append(Estimate(model, theta, np.diag(prior**2), groups, noise, frame, np.ones(12)))
+        linear = model.linearise(Situation.of(recording), theta)
+        design = linear.design.reshape(len(rows), -1)[rows]
+        data = (to_base(recording.points, frame) - linear.positions).ravel()[rows] + design @ theta
+        scatter = block_diag(*noise.covariance(linear.levers, recording.seen, np.ones(12)))[np.ix_(rows, rows)]
+        expected.append(multivariate_normal(cov=scatter + (design * prior**2) @ design.T).logpdf(data))
+    said = log_evidences(fits, recording)
+    assert said[0] - said[1] == pytest.approx(expected[0] - expected[1], rel=1e-6)
