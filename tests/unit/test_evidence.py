@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from copy import copy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from ppshw.diagnosis.evidence import DRAWS, p_value
+from ppshw.diagnosis.evidence import DRAWS, corrected_residual, p_value
+from ppshw.diagnosis.workspace import prepare
+from ppshw.terms.shapes import Column
+from tests.unit.clean_case import clean_case
 
 
 def _evidence(rng: np.random.Generator, draws: int) -> np.ndarray:
@@ -31,3 +37,25 @@ def test_within_the_draws_it_is_their_share_and_beyond_them_it_falls_with_the_od
     values = [p_value(x, null) for x in np.linspace(100.0, 230.0, 131)]
     assert values == sorted(values, reverse=True)
     assert p_value(5000.0, null) == 1e-300
+
+
+def test_what_a_fit_leaves_of_noise_is_made_as_large_as_noise_at_every_visit(tmp_path: Path) -> None:
+    """Of recordings that the base model, a finding and noise make at random: a fit to eighty visits bends to each of
+    them and leaves of the noise's variance two thirds, at some a third. Signs drawn at random of that would be of too
+    little."""
+    machine, recording = clean_case(60533, "pps", 80, 80, tmp_path)
+    space = copy(prepare(machine, recording, np.ones(80, dtype=bool)))
+    space.take_up(Column("frame", "approach", {"joint": 3}, 4, 5).evaluate(space.context)[..., None], np.array([1e-3]))
+    live = np.repeat(recording.seen, 3, axis=1)
+    rng, left, corrected = np.random.default_rng(6), [], []
+    for _ in range(150):
+        meant = space.white @ rng.normal(0.0, space.prior) + space.taken_white @ rng.normal(0.0, space.taken_prior)
+        space.y = meant + (live * rng.normal(size=live.shape)).ravel()
+        left.append(space.left().reshape(live.shape))
+        corrected.append(corrected_residual(space))
+    before, after = (np.square(each).sum(axis=(0, 2)) / 150 / live.sum(axis=1) for each in (left, corrected))
+    assert before.mean() == pytest.approx(0.7, abs=0.05)
+    assert before.min() < 0.4
+    assert after.mean() == pytest.approx(1.0, abs=0.03)
+    # but for what a fit leaves next to nothing of
+    assert (np.abs(after - 1.0) < 0.15).mean() > 0.95
