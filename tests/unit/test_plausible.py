@@ -12,7 +12,7 @@ import pytest
 
 from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
-from ppshw.evaluation import figures, residuals
+from ppshw.evaluation import evaluate, figures, residuals
 from ppshw.identification import identify
 from ppshw.identification.plausible import doubts, misread, rests_off, without_gross_errors
 from ppshw.machine import Machine, load_machine
@@ -52,6 +52,17 @@ def test_a_gross_reading_spoils_nothing_but_its_own_visit(measured: tuple[Machin
     calibration = Calibration.of(found, recording, "joint")
     assert calibration.provenance["visits_down_weighted"] == 2
     assert figures(residuals(recording, calibration))["p98_6_mm"] < 0.2  # of the readings as they should have been
+
+
+def test_visits_that_no_machine_explains_are_told_by_their_number_from_one(
+    measured: tuple[Machine, Recording],
+) -> None:
+    machine, recording = measured
+    points = recording.points.copy()
+    points[0, 1, 2] += 3.0  # the first visit's
+    points[-1, 0, 0] -= 3.0  # and the last one's
+    assert evaluate(replace(recording, points=points), machine, None)["far_off"] == [1, len(recording)]
+    assert evaluate(recording, machine, None)["far_off"] == []
 
 
 def test_a_damaged_encoder_cell_is_no_travel(measured: tuple[Machine, Recording]) -> None:
