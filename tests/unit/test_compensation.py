@@ -176,6 +176,16 @@ def test_a_payload_s_wrench_turns_with_the_sensor() -> None:
     assert abs(found[0]) + abs(found[2]) > 35
 
 
+def test_a_sensor_that_was_only_moved_or_turned_about_the_vertical_reads_what_it_read() -> None:
+    """Moved it may be pushed aside as well; turned, also what no weight does: a cable that comes along and is twisted
+    by 12 N m."""
+    machine = load_machine(MACHINES / "pps.yaml")
+    moved_only, turned = np.array([0.4, 0.1, 0.9, 0.0, 0.0, 0.0]), np.array([-0.3, 0.0, 0.2, 1.2, 0.0, 0.0])
+    for there, read in ((moved_only, [30.0, -785.0, 10.0, 235.0, 12.0, -78.0]),
+                        (turned, [0.0, -785.0, 0.0, 235.0, 12.0, -78.0])):  # fmt: skip
+        np.testing.assert_allclose(payload_at(machine, np.array(read), np.zeros(6), there), read, atol=1e-9)
+
+
 def test_without_payload_there_is_none_anywhere() -> None:
     machine = load_machine(MACHINES / "pps.yaml")
     np.testing.assert_array_equal(payload_at(machine, np.zeros(6), np.zeros(6), POSE), np.zeros(6))
