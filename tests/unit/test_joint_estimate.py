@@ -115,6 +115,22 @@ def test_a_group_that_nothing_speaks_for_shrinks_and_one_that_is_there_is_found(
     assert np.sqrt(np.diag(covariance)[:40].mean()) == pytest.approx(0.5, rel=0.1)
 
 
+def test_a_joint_that_nothing_was_said_of_is_taken_to_be_as_the_others_are() -> None:
+    """Three rails' shifts are known to be of 2, 4 and 8 mm; what the fourth's may be is their geometric mean, and half
+    a joint that starts from a twentieth (in variance) of 1 mm."""
+    sizes, each = [2.0, 4.0, 8.0], 20
+    groups = Groups.among([
+        Parameter(f"p{k}", "mm", f"geometric.w{k // each}.t.line", 1.0, 1.0) for k in range(4 * each)
+    ])  # fmt: skip
+    said = np.repeat([1.0, 1.0, 1.0, 0.0], each)
+    values = np.repeat([*sizes, 0.0], each) * np.resize([1.0, -1.0], 4 * each)
+    gram, moment = np.diag(1e4 * said), 1e4 * values
+    variances, _ = learn(gram, moment, groups, np.ones(4 * each, dtype=bool), np.ones(4), 40)
+    assert np.sqrt(variances[:3]) == pytest.approx(sizes, rel=0.1)
+    expected = (2.0 * np.log(sizes).sum() - 0.5 * 3.0) / 3.5
+    assert np.log(variances[3]) == pytest.approx(expected, abs=0.2)
+
+
 def test_a_small_arm_s_wrist_may_give_way_a_thousand_times_as_much_as_a_positioner(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
