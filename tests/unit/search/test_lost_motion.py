@@ -60,7 +60,7 @@ def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     weights = found[0].weights
     assert sum(weights.values()) == pytest.approx(1.0, abs=0.01)
-    assert weights["nameless", None] >= 0.99 * OUTSIDE
+    assert weights["nameless", None] >= max(0.99 * OUTSIDE, 0.01)  # names were wrong more often than that
     assert weights["friction_hysteresis", NAME] > 0.85
     assert best_of(tried, found[0]).shape["width"] == pytest.approx(width)
 
