@@ -17,7 +17,7 @@ from ppshw.machine import load_machine
 from ppshw.studies.accuracy import AGAINST_REPEATABILITY, AGAINST_VISITS
 from ppshw.studies.catalogue import STUDIES
 from ppshw.studies.directions import STUDY as DIRECTIONS
-from ppshw.studies.engine import Cluster
+from ppshw.studies.engine import Cluster, Outcome
 from ppshw.studies.residuals import STUDY as RESIDUALS
 from ppshw.studies.simulated import ensemble, machine_file, make_trial, paper_campaign
 from ppshw.studies.study import Study, aligned, page, run_study
@@ -72,6 +72,25 @@ def test_a_machine_that_comes_back_worse_is_known_worse(tmp_path: Path) -> None:
         assert low < high
     assert better[0]["noise"] == pytest.approx(0.075, abs=0.03)
     assert worse[0]["noise"] == pytest.approx(0.16, abs=0.04)
+
+
+def test_a_model_is_measured_by_the_bound_of_models_and_what_is_left_by_the_bound_of_that() -> None:
+    """Two machines; medians of 98.6 %, means of squares of the models' own errors."""
+
+    def machine(left: float, own: float) -> dict[str, Any]:
+        return {
+            "bound": {"p98_6_mm": 0.4, "rms_mm": 0.2, "model_rms_mm": 0.05},
+            "joint": {"p98_6_mm": left, "rms_mm": left / 2, "model_rms_mm": own},
+            "noise": {"p98_6_mm": 0.35},
+        }
+
+    results = {"0.15mm-1": machine(0.5, 0.06), "0.15mm-2": machine(0.7, 0.08)}
+    rows, _ = AGAINST_REPEATABILITY.summarise(Outcome(results, {}, {}))
+    joint, bound = ({r["estimate"]: r for r in rows}[name] for name in ("joint estimate", "bound"))
+    assert joint["× bound"] == pytest.approx(0.6 / 0.4)
+    assert joint["model rms"] == pytest.approx(np.sqrt((0.06**2 + 0.08**2) / 2))
+    assert joint["model × bound"] == pytest.approx(joint["model rms"] / 0.05)
+    assert (bound["× bound"], bound["model × bound"], bound["model rms"]) == (None, None, pytest.approx(0.05))
 
 
 def test_residuals_are_an_order_less_than_the_errors_were(tmp_path: Path) -> None:
