@@ -121,6 +121,8 @@ def instrument_error(
     for effect in filter(lambda effect: effect.of_instrument, effects):
         for column, value in zip(effect.columns, effect.values, strict=True):
             moves_one = "target_shift" in (column.function, column.args.get("column", {}).get("function"))
+            if column.on != "points" and effect.name == UNNAMED:  # beside structure without a name: the machine's
+                continue
             if column.on == "frame":  # a scale about another place than the instrument's shifts all that it sees
                 out[:, 0, column.component] += value * column.value(context)
             elif not moves_one:

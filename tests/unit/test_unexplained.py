@@ -26,7 +26,7 @@ from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import displacement
+from ppshw.terms.effect import displacement, instrument_error
 from ppshw.terms.gaussian_process import Region
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
@@ -221,6 +221,14 @@ def test_no_axis_is_driven_by_it_and_its_size_is_in_the_uncertainty(rig: Rig) ->
     np.testing.assert_allclose(found.corrected, without.corrected, atol=1e-12)
     assert "no axis is driven by it" in found.effects[0].why
     assert np.linalg.norm(found.std) > np.linalg.norm(without.std)
+
+
+def test_the_instrument_reads_no_point_wrong_by_it(rig: Rig) -> None:
+    """Reflectors have other places beside it, which are columns of the readings, as an erring instrument's are."""
+    c, ideal = rig.calibration, rig.later.points[:, 0]
+    assert any(column.on == "points" for column in c.effects[0].columns)
+    args = (rig.later, c.measuring_in_base, c.reference, ideal)
+    np.testing.assert_array_equal(instrument_error(c.effects, c.model, c.laid_at, *args), np.zeros_like(ideal))
 
 
 def test_a_twin_has_it_and_the_recording_is_like_its_twin(rig: Rig) -> None:
