@@ -40,7 +40,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
     from ppshw.identification.own_weight import NOT_BENT
-    from ppshw.identification.plausible import noisier_than_stated
+    from ppshw.identification.plausible import apart_from_each_other, noisier_than_stated
     from ppshw.identification.strengths import held_back
     from ppshw.recording import listed, load_recording
     from ppshw.terms.shapes import Context
@@ -78,6 +78,8 @@ def identify(a: argparse.Namespace) -> None:
     if said := doubt_of_sensor(known):
         warnings.append(said)
     if doubt := noisier_than_stated(machine, fit["rms_mm"], "a residual"):
+        warnings.append(doubt)
+    if doubt := apart_from_each_other(machine, calibration.noise.instrument):
         warnings.append(doubt)
     warnings += held_back(estimate.model.parameters(), estimate.groups)
     calibration.save(out)

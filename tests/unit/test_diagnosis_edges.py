@@ -18,7 +18,7 @@ import yaml
 from ppshw.calibration import load_calibration
 from ppshw.cli import main
 from ppshw.diagnosis import diagnose
-from ppshw.identification.plausible import noisier_than_stated
+from ppshw.identification.plausible import apart_from_each_other, noisier_than_stated
 from ppshw.machine import load_machine
 from ppshw.recording import load_recording
 from simulators.concealed.case import make_case
@@ -219,3 +219,20 @@ def test_noise_that_no_such_machine_has_is_warned_of(case: Case, tmp_path: Path)
     assert noisier_than_stated(machine, 4.1 * stated, "noise") == ""
     assert "is 35 times that of the file's repeatability" in noisier_than_stated(machine, 35.2 * stated, "noise")
     assert noisier_than_stated(replace(machine, repeatability=None), 35.0 * stated, "noise") == ""
+
+
+def test_a_known_reflector_that_was_knocked_is_asked_about_by_identify(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was instrument noise of 0.067 mm where the file says 0.015, without a word (a reviewer's)."""
+    assert main(["identify", *written(case, tmp_path), "--out", str(tmp_path / "clean.json")]) == 0
+    assert "scatter against each other" not in capsys.readouterr().err
+    case.machine["tip"]["targets"]["P2"][0] += 6e-4
+    assert main(["identify", *written(case, tmp_path), "--out", str(tmp_path / "knocked.json")]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "where the machine file says 0.020 of the instrument: one may not sit where the machine file has it" in said
+    machine = load_machine(tmp_path / "machine.yaml")
+    tracker = replace(machine.tracker, targets_known=False)
+    assert "one may have moved" in apart_from_each_other(replace(machine, tracker=tracker), 1e-4)
+    alone = replace(machine, targets={"P1": machine.targets["P1"]})
+    assert apart_from_each_other(alone, 1e-4) == ""
