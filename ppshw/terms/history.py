@@ -234,11 +234,12 @@ def load_memory(
     return out
 
 
-def side_held(load: Array, width: float) -> Array:
-    """(N,) 1 or −1: the side a joint with play was last pushed to by more than ±width, and lies on since."""
+def side_held(load: Array, width: float, start: int = 0) -> Array:
+    """(N,) 1 or −1: the side a joint with play was last pushed to by more than ±width, and lies on since; before that
+    on the one that it started on, by the sign of the first load where nobody says."""
     side = np.sign(np.where(np.abs(load) > width, load, 0.0))
     last = np.maximum.accumulate(np.where(side != 0, np.arange(len(load)), -1))
-    return np.asarray(np.where(last >= 0, side[np.maximum(last, 0)], np.sign(load[0]) or 1.0))
+    return np.asarray(np.where(last >= 0, side[np.maximum(last, 0)], start or np.sign(load[0]) or 1.0))
 
 
 def hours_since_change(load: tuple[str, ...], hours: Array, came: Array) -> Array:

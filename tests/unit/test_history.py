@@ -105,6 +105,7 @@ def test_a_joint_with_play_stays_on_its_side_until_it_is_pushed_over() -> None:
     load = np.array([2.0, 0.5, -0.5, -2.0, 0.5, 1.5])
     assert side_held(load, 1.0).tolist() == [1, 1, 1, -1, -1, 1]
     assert side_held(np.array([-0.2, 0.1, 3.0]), 1.0).tolist() == [-1, -1, 1]
+    assert side_held(np.array([-0.2, 0.1, -3.0]), 1.0, start=1).tolist() == [1, 1, -1]  # as somebody says
 
 
 def test_the_time_since_a_load_change_starts_half_way_between_two_visits() -> None:

@@ -28,6 +28,7 @@ ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
 # Widths, relative to the load's spread, over which it falls little by little, wider ones being nonlinear stiffness; and
 # over which it falls in proportion to its load, and no farther, about these loads.
+HELD = (0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
 SIDES, STOPS, STOPS_ABOUT = (0.02, 0.1, 0.3), (0.3, 0.5, 0.7), (-0.3, -0.15, 0.0, 0.15, 0.3)
 # Visits beyond zero by which a load changes its sign: five to twelve of 400 showed a fall of 0.2 mrad at a p of 1e-41,
 # which was stiffness of weight 0.95 where falls were tried from 3 % of them on alone (a reviewer's arms).
@@ -132,7 +133,9 @@ def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any]
         for wide, offset in itertools.product(SIDES[1:], map(float, middle)):
             yield "load_side", {"width": wide, "offset": offset}, PRELOADED
     if changes_side(w):
-        yield from (("load_side_held", {"width": wide}, 1.0) for wide in (0.1, 0.25, 0.5))
+        for wide in HELD:  # where no load has pushed it over yet, it may have lain on either side
+            starts = (-1, 1) if abs(w[0]) < wide * w.std() else (0,)
+            yield from (("load_side_held", {"width": wide, "start": k}, 0.5 / len(starts)) for k in starts)
     for of, wide in itertools.product(_of_payload(c, frame, b), SIDES):
         yield "load_side", {"width": wide, **of}, 0.5
 

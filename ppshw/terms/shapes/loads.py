@@ -101,10 +101,11 @@ def load_of(c: Context, frame: int, component: int, of: str = "") -> Array:
     return np.asarray(w - own_weight(c, frame, component)) if of == "payload" else w
 
 
-def load_side_held(c: Context, frame: int, component: int, width: float) -> Array:
-    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread."""
+def load_side_held(c: Context, frame: int, component: int, width: float, start: int = 0) -> Array:
+    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread;
+    start: the side at first, where that is known."""
     w = c.wrenches[:, frame, component]
-    return side_held(w, width * _spread(c, frame, component))
+    return side_held(w, width * _spread(c, frame, component), start)
 
 
 def load_bump(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
