@@ -111,8 +111,8 @@ class Workspace:
         return final
 
     def as_estimated(self) -> Workspace:
-        """The same with the parameters of the base model's estimate alone, which takes known reflectors to be where the
-        machine file has them, and nothing taken up."""
+        """The base model of the estimate, which takes known reflectors to be where the machine file has them: the
+        same without their offsets, and without what was taken up; itself where they were estimated."""
         if not self.machine.tracker.targets_known:
             return self
         keep = np.flatnonzero(self.active) < len(self.active) - 3 * len(self.machine.targets)

@@ -28,8 +28,8 @@ ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
 # Widths, relative to the load's spread, over which it falls little by little, wider ones being nonlinear stiffness; and
 # over which it falls in proportion to its load, and no farther, about these loads.
-HELD = (0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
 SIDES, STOPS, STOPS_ABOUT = (0.02, 0.1, 0.3), (0.3, 0.5, 0.7), (-0.3, -0.15, 0.0, 0.15, 0.3)
+HELD = (0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # which a load must go beyond to push over what stays on its side
 # Visits beyond zero by which a load changes its sign: five to twelve of 400 showed a fall of 0.2 mrad at a p of 1e-41,
 # which was stiffness of weight 0.95 where falls were tried from 3 % of them on alone (a reviewer's arms).
 FEW_BEYOND, HARDLY_CHANGES = 5, 0.03
