@@ -70,7 +70,7 @@ def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
         for comps, said, share in every:  # goes one way, then another
             turns = tuple(
                 Column("frame", "clock", {"form": form, "tau": tau}, 0, comp)
-                for form, tau in (("linear", 1.0), ("ramp", moment)) for comp in comps
+                for form, tau in (("until", moment), ("ramp", moment)) for comp in comps
             )  # fmt: skip
             yield Candidate("drift", None, base, said, "time", turns, {"time_h": moment}, share / len(moments))
     for order in (*WANDERS, *RESTLESS):

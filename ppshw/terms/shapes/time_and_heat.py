@@ -21,10 +21,14 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
     """Time since the start.
 
     form  "linear" [h], "exponential" 1 − e^(−t/τ) and "log" ln(1 + t/τ), both 0 before the start; "step" 1 and "ramp"
-          t − τ from τ on; "cosine" of τ half waves over the recording, held where it was at its end;
-          "beat_cos" and "beat_sin" of as many, 0 beyond it
+          t − τ from τ on, "until" t up to τ: both carried on for as long again as they were seen; "cosine" of τ half
+          waves over the recording, held where it was at its end; "beat_cos" and "beat_sin" of as many, 0 beyond it
     """
     t = c.clock
+
+    def lasted() -> float:
+        return max(c.frozen("hours", float(t[-1])), 1e-9)
+
     match form:
         case "linear":
             return t
@@ -35,13 +39,13 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
         case "step":
             return step(c, tau)
         case "ramp":
-            return np.maximum(t - tau, 0.0)
+            return np.clip(t - tau, 0.0, 2.0 * max(lasted() - tau, 0.0))
+        case "until":
+            return np.clip(t, -tau, tau)
         case "cosine":  # what wanders without a law stays where it was last seen
-            whole = max(c.frozen("hours", float(t[-1])), 1e-9)
-            return np.asarray(np.cos(np.pi * tau * np.clip(t / whole, 0.0, 1.0)))
+            return np.asarray(np.cos(np.pi * tau * np.clip(t / lasted(), 0.0, 1.0)))
         case "beat_cos" | "beat_sin":  # where a beat is later, nobody knows
-            whole = max(c.frozen("hours", float(t[-1])), 1e-9)
-            wave = np.cos if form == "beat_cos" else np.sin
+            wave, whole = np.cos if form == "beat_cos" else np.sin, lasted()
             return np.asarray(wave(np.pi * tau * t / whole) * ((c.hours >= 0.0) & (c.hours <= whole)))
     raise ValueError(f"unknown course in time '{form}'")
 
