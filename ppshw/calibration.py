@@ -169,21 +169,14 @@ class Calibration:
         """What of joint values (n,) and a payload (6,) lies farther outside what was identified than these shares of
         its range, each in words: joints first, then loads, the farthest first (a moment as a force on a lever of a
         metre)."""
-        said = [
-            f"joint '{joint.name}' at {value:.6g} {joint.unit} is outside what was identified, "
-            f"{joint.low:.6g} … {joint.high:.6g}"
-            for joint, value in zip(self.identified_joints(joints), q.tolist(), strict=True) if joint.is_outside(value)
-        ]  # fmt: skip
-        beyond = [
-            (load, value)
-            for load, value in zip(self.identified_loads(loads), payload.tolist(), strict=True)
-            if load.is_outside(value)
-        ]
-        beyond.sort(key=lambda one: -max(one[0].low - one[1], one[1] - one[0].high))
-        return said + [
-            f"load {load.name} = {value:.6g} {load.unit} is outside what was identified, "
-            f"{load.low:.6g} … {load.high:.6g}"
-            for load, value in beyond
+        of_joints = zip(self.identified_joints(joints), q.tolist(), strict=True)
+        of_loads = zip(self.identified_loads(loads), payload.tolist(), strict=True)
+        far = [(f"joint '{each.name}' at", each, value) for each, value in of_joints if each.is_outside(value)]
+        beyond = [(f"load {each.name} =", each, value) for each, value in of_loads if each.is_outside(value)]
+        far += sorted(beyond, key=lambda one: min(one[2] - one[1].low, one[1].high - one[2]))
+        return [
+            f"{what} {value:.6g} {each.unit} is outside what was identified, {each.low:.6g} … {each.high:.6g}"
+            for what, each, value in far
         ]
 
     def continued(self, recording: Recording) -> tuple[Recording, Mask]:

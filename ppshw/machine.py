@@ -218,7 +218,7 @@ def _digest(machine: Machine) -> str:
         "name": machine.name, "gravity": numbers(machine.gravity),
         "joints": [
             [j.name, j.prismatic, numbers(j.origin), numbers(j.axis), j.mass, numbers(j.com),
-             j.elastic and [list(j.elastic.loads), j.elastic.varies]]
+             j.elastic and [j.elastic.loads, j.elastic.varies]]
             for j in machine.joints
         ],
         "tip": numbers(machine.tip_in_link), "force_sensor": numbers(machine.sensor_in_link),

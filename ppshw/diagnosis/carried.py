@@ -61,8 +61,8 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     for f in found:
         f.carried = tried.candidates[f.best].effect != "nameless"
         kept[f.columns(tried.candidates[f.best])] = f.carried
-    before = held_out(space.as_estimated(), taken[:, :, kept & False], prior[kept & False])
-    after = held_out(space, taken[:, :, kept], prior[kept])
+    before = held_out(space.as_estimated(), taken[:, :, :0], prior[:0])
+    after = held_out(space, taken[:, :, kept], prior[kept]) if found else before
     for f in found:
         if f.carried or tried.candidates[f.best].covariates != ("time",):
             continue

@@ -120,7 +120,7 @@ class Tried:
             self.laid.information(batch.columns) if batch.columns.shape[1] > 1 else self.seen[batch.columns][:, :, None]
             for batch in self._batches
         ]
-        self._plain_scores = self.laid.product(space.absorb(space.y[:, None]))[:, 0].astype(float)
+        self._plain_scores = self.laid.scores()
         self.update()
 
     def update(self, taken: Sequence[Key] = ()) -> None:

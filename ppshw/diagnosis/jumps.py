@@ -48,7 +48,7 @@ def jumps_of_zeros(space: Workspace) -> list[Jumps]:
     if not moments or not joints:
         return []
     laid = Laid(space, [shift_of_zero(c, k, t) for k, _ in joints for t in moments])
-    scores = laid.product(space.absorb(space.y[:, None]))[:, 0].astype(float).reshape(len(joints), -1)
+    scores = laid.scores().reshape(len(joints), -1)
     of_joint = np.arange(scores.size).reshape(scores.shape)
     found = []
     for (_, name), said, columns in zip(joints, scores, of_joint, strict=True):
@@ -67,7 +67,7 @@ def jumps_of_reflectors(space: Workspace) -> list[Jumps]:
         return []
     laid = Laid(space, [k for target in range(targets) for t in moments for k in shift_of_reflector(target, t)])
     width = len(laid.scale) // (targets * len(moments))
-    scores = laid.product(space.absorb(space.y[:, None]))[:, 0].astype(float).reshape(targets, -1, width)
+    scores = laid.scores().reshape(targets, -1, width)
     of_target = np.arange(scores.size).reshape(targets, -1)
     found = []
     for name, said, columns in zip(c.recording.target_names, scores, of_target, strict=True):

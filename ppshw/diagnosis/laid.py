@@ -104,6 +104,10 @@ class Laid:
         out[self._column[len(self._values) :]] = self._fields @ x.astype(np.float32)
         return out
 
+    def scores(self) -> Array:
+        """(K,) Zᵀ V⁻¹ y of every column for what was read, in double precision."""
+        return self.product(self.space.absorb(self.space.y[:, None]))[:, 0].astype(float)
+
     def information(self, columns: Indices) -> Array:
         """(C, k) columns of C candidates → (C, k, k) ZᵀV⁻¹Z of each."""
         count, k = columns.shape

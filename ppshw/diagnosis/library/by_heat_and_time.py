@@ -78,10 +78,10 @@ def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             tuple(Column("frame", "clock", {"form": "cosine", "tau": j}, 0, comp) for j in range(1, order + 1))
             for comp in range(6)
         ]
+        share = 0.3 if order in WANDERS else 0.15
         for comp in range(6):
-            share = 0.3 if order in WANDERS else 0.15
             yield Candidate("drift", None, base, COMPONENTS[comp], "time", waves[comp], {}, share)
         if order in WANDERS:
             yield Candidate("drift", None, base, None, "time", waves[0] + waves[1] + waves[2], {}, 0.5)
         every_way = tuple(column for mine in waves for column in mine)  # it turns, too, and not by the course of warmth
-        yield Candidate("drift", None, base, None, "time", every_way, {}, 0.3 if order in WANDERS else 0.15)
+        yield Candidate("drift", None, base, None, "time", every_way, {}, share)
