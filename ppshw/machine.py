@@ -362,9 +362,8 @@ def _tracker(top: Section) -> TrackerModel:
     if section is None:
         return TrackerModel(2.0e-5, np.eye(4), True)
     sigma = section.number("position_sigma", default=2.0e-5, low=1e-9)
-    base: Array | None = np.eye(4)
-    if "base" in section:
-        base = None if section.plain("base") == "estimate" else _placement(section.need("base"))
+    said = section.plain("base", default=None)
+    base = np.eye(4) if said is None else None if said == "estimate" else _placement(section.need("base"))
     known = section.text("targets", default="known", choices=("known", "estimate")) == "known"
     section.done()
     return TrackerModel(sigma, base, known)
