@@ -2,8 +2,9 @@
 
     python -m benchmarks.noise_forms [--seeds 10] [--visits 300] [--machines pps arm6] [--short]
 
-Every simulated machine scatters in one of three ways: all joints alike (how the plants are made), every joint by a
-factor of its own between 1/4 and 4 (its shifts, its turns), or the last link alone. It is identified with each form of
+Every simulated machine scatters in one of four ways: all joints alike (how the plants are made), every joint by a
+factor of its own between 1/4 and 4 (its shifts, its turns), the last link alone, or every drive, along or about its
+joint's axis by a factor of its own, beside a third of the first. It is identified with each form of
 noise and with the one that the estimate chooses. Larger is better; 0.01 per coordinate is 1 % of each likelihood.
 """
 
@@ -33,10 +34,10 @@ from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 
 Array = NDArray[np.float64]
-WAYS = ("alike", "each its own", "last link")
+WAYS = ("alike", "each its own", "last link", "drives")
 
 
-def scattering(plant: Plant, way: str, rng: np.random.Generator) -> Plant:
+def scattering(plant: Plant, machine: Machine, way: str, rng: np.random.Generator) -> Plant:
     """The same machine with another random part of every arrival, about as large."""
     scatter = plant.truth.scatter
     if way == "each its own":
@@ -45,6 +46,9 @@ def scattering(plant: Plant, way: str, rng: np.random.Generator) -> Plant:
     elif way == "last link":
         scatter = np.zeros_like(scatter)
         scatter[-1] = plant.truth.scatter[-1] * np.sqrt(len(scatter))
+    elif way == "drives":
+        factors = 4.0 ** rng.uniform(-1, 1, (len(scatter), 1))
+        scatter = scatter / 3 + scatter * factors * np.abs(machine.own_ways)
     plant.truth = replace(plant.truth, scatter=scatter)
     return plant
 
@@ -87,7 +91,7 @@ def row(file: Path, way: str, seeds: int, visits: int, folder: Path) -> list[str
     scores: list[list[float]] = []
     chosen: Counter[str] = Counter()
     for seed in range(seeds):
-        plant = scattering(Plant.from_file(file, seed=seed), way, np.random.default_rng(9000 + seed))
+        plant = scattering(Plant.from_file(file, seed=seed), machine, way, np.random.default_rng(9000 + seed))
         train, test = folder / "train.csv", folder / "test.csv"
         simulate_recording_csv(plant, train, visits, rng=np.random.default_rng(1000 + seed), loads=10)
         simulate_recording_csv(plant, test, UNSEEN, rng=np.random.default_rng(5000 + seed), interleave=True)

@@ -289,7 +289,8 @@ class Calibration:
             "noise": {
                 "pose": self.noise.pose.tolist(),
                 "instrument": self.noise.instrument,
-                "joints": None if self.noise.joints is None else self.noise.joints.tolist(),
+                "joints": None if self.noise.parts is None else self.noise.parts[1:].tolist(),
+                "end_effector": None if self.noise.parts is None else self.noise.parts[0].tolist(),
             },
             "terms": terms,
             "effects": [effect.as_dict() for effect in self.effects],
@@ -349,10 +350,10 @@ def _unfit(found: Calibration) -> str:
                   "targets": found.machine.target_array}  # fmt: skip
     if found.laid is not None:
         everything["laid"] = found.laid
-    if found.noise.joints is not None:
-        if (found.noise.joints < 0).any():
-            return "noise.joints holds negative variances"
-        everything["noise.joints"] = found.noise.joints
+    if found.noise.parts is not None:
+        if (found.noise.parts < 0).any():
+            return "noise.joints or noise.end_effector holds negative variances"
+        everything["noise.joints"] = found.noise.parts
     for effect in found.effects:
         numbers = np.concatenate([effect.values, effect.std, np.ravel(effect.correlation)])
         everything[f"effects.{effect.name}"] = numbers
@@ -424,11 +425,13 @@ def _visits(data: dict[str, Any], machine: Machine) -> Recording | None:
 
 
 def _noise(data: dict[str, Any], machine: Machine) -> Noise:
-    joints = data.get("joints")
-    return Noise(
-        np.array(data["pose"], dtype=float).reshape(6, 6), float(data["instrument"]),
-        None if joints is None else np.array(joints, dtype=float).reshape(machine.n, 6),
-    )  # fmt: skip
+    parts = None
+    if (joints := data.get("joints")) is not None:
+        beside = data.get("end_effector")  # of older files joints alone
+        parts = np.zeros((1 + machine.n, 6))
+        parts[0] = 0.0 if beside is None else np.array(beside, dtype=float).reshape(6)
+        parts[1:] = np.array(joints, dtype=float).reshape(machine.n, 6)
+    return Noise(np.array(data["pose"], dtype=float).reshape(6, 6), float(data["instrument"]), parts)
 
 
 def content_digest(content: dict[str, Any]) -> str:

@@ -146,6 +146,14 @@ class Machine:
         raise MachineFileError(f"{self.file}: no point named '{name}' (there are: {known})")
 
     @property
+    def own_ways(self) -> Array:
+        """(n, 6) the generalized errors, in its frame, that every joint's own motion is."""
+        nothing = np.zeros(3)
+        return np.array(
+            [np.append(j.axis, nothing) if j.prismatic else np.append(nothing, j.axis) for j in self.joints]
+        )
+
+    @property
     def up(self) -> Array:
         """(3,) against gravity; where a file says that there is none, the base frame's z."""
         size = float(np.linalg.norm(self.gravity))

@@ -94,7 +94,7 @@ def identify(a: argparse.Namespace) -> None:
         "pose_sigma_mm": (spread[:3] * 1e3).tolist(),
         "pose_sigma_mrad": (spread[3:] * 1e3).tolist(),
         "instrument_sigma_mm": calibration.noise.instrument * 1e3,
-        "noise": "end effector" if calibration.noise.joints is None else "joints",
+        "noise": "end effector" if calibration.noise.parts is None else "joints",
         "outliers": len(set_aside),
         "set_aside": [int(v) + 1 for v in set_aside],
         "warnings": warnings,

@@ -148,7 +148,7 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
         state.variances, posterior = learn(gram, moment, groups, kept, state.variances, STRENGTH_STEPS)
         before, state.theta = state.theta, np.zeros(len(kept))
         state.theta[kept] = posterior.theta
-        judged = Judgement(len(task.which), linear.coordinates)
+        judged = Judgement(len(task.which), linear.coordinates, task.model.machine.own_ways**2)
         moved, since = (state.theta - before)[kept], (state.theta - linear.theta)[kept]
         for white in whites or linear.whitened(state.noise, state.weights, kept):
             judged.add(white, posterior, moved, since, state.weights)

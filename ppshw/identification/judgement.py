@@ -20,8 +20,9 @@ class Judgement:
     moved  most that a coordinate moved since the last round, in units of its noise;  far: since θ₀ [m]
     """
 
-    def __init__(self, count: int, size: int) -> None:
-        """count visits of size coordinates."""
+    def __init__(self, count: int, size: int, own: Array) -> None:
+        """count visits of size coordinates; own: as in `Moments`."""
+        self._own = own
         self.moved = self.far = 0.0
         self._near = np.zeros(count)
         self._second = np.zeros((count, size, size))
@@ -61,8 +62,9 @@ class Judgement:
         """The most likely noise, of the form given or the best one; and by how much twice the log likelihood grew."""
         count = np.ones(len(self._near))
         moments = Moments(
-            self._levers, self._live, self._second, count, float(self._weights @ self._rest2), self._freedom.sum()
-        )
+            self._levers, self._live, self._second, count, float(self._weights @ self._rest2), self._freedom.sum(),
+            self._own,
+        )  # fmt: skip
         form, found = (form, fit(form, moments, before, rank)) if form else choose(moments, before, rank)
         return form, found, moments.likelihood(found) - moments.likelihood(before)
 

@@ -1,8 +1,8 @@
 """What scatters: the machine's pose repeatability, common to all targets of a visit, and the instrument's own noise.
 
-The pose scatters in one of two ways, whichever the recording makes more likely: the end effector by one 6 × 6
-covariance wherever it stands, or every joint by variances of its own, which reach the end effector through the pose.
-docs/derivations.md §5.2.
+The pose scatters in one of several ways, whichever the recording makes more likely: the end effector by one 6 × 6
+covariance wherever it stands, or joints by variances of their own, which reach the end effector through the pose, alone
+or beside the end effector's. docs/derivations.md §5.2.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ Mask = NDArray[np.bool_]
 class Noise:
     """pose (6, 6) covariance of the end effector's displacement about its origin, base axes [m², m·rad, rad²];
     instrument: standard deviation per coordinate [m];
-    joints (n, 6) variances of the random part of every joint's generalized errors, in its own frame [m², rad²], where
-    that is the better description: `pose` is then the mean over the recording's visits, for people to read."""
+    parts (1 + n, 6) variances of the random part of the end effector's displacement (base axes) and of every joint's
+    generalized errors (its own frame) [m², rad²], where that is the better description: `pose` is then the mean over
+    the recording's visits, for people to read."""
 
     pose: Array
     instrument: float
-    joints: Array | None = None
+    parts: Array | None = None
 
     @property
     def repeatability(self) -> float:
@@ -61,14 +62,15 @@ class Noise:
         return np.asarray(root * (rows[:, :, None] & rows[:, None, :]))
 
     def scatter(self, levers: Array) -> Array:
-        """(N, K, f) what a standard deviation of each freedom in which the machine scatters does, joints' or pose's."""
-        if self.joints is None or levers.shape[2] == 6:
+        """(N, K, f) what a standard deviation of each freedom in which the machine scatters does."""
+        if self.parts is None or levers.shape[2] == 6:
             return np.asarray(levers[..., :6] @ half(self.pose))
-        return np.asarray(levers[..., 6:] * np.sqrt(self.joints.ravel()))
+        variances = self.parts.ravel()
+        return np.asarray(levers[..., variances > 0] * np.sqrt(variances[variances > 0]))
 
     def of_pose(self, levers: Array) -> Array:
         """The pose's part alone: (N, K, K)."""
-        if self.joints is None or levers.shape[2] == 6:
+        if self.parts is None or levers.shape[2] == 6:
             b = levers[..., :6]
             return np.asarray(b @ self.pose @ np.swapaxes(b, 1, 2))
         b = self.scatter(levers)

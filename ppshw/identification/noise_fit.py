@@ -14,19 +14,21 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from ppshw.identification.noise import Noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 STEPS = 30
 # Of a step of the scoring, until the likelihood grows; and where it hardly does any more.
 SHARES = (1.0, 0.3, 0.1, 0.02)
 ENOUGH = 1e-3
 # What was known before counts as so many visits: keeps the variances of a short recording away from zero. A guess.
 PRIOR_VISITS = 12.0
+# Squared, of the most that a source moves anything by: less is nothing, as of a joint on whose axis the reflector is.
+SEEN = 1e-12
 # σ moves by no more than this factor per fit, so that a wrong model does not pass for a wrong instrument.
 SIGMA_STEP = 5.0
 
@@ -37,6 +39,7 @@ class Moments:
 
     levers (n, K, 6 + 6n);  live (n, K);  second (n, K, K) [m²];  count (n,) as how many visits each one counts
     rest2, freedom: squared length and number of all coordinates that no motion of the end effector reaches
+    own (n, 6) squares of the joints' axes in their frames: shares of their own freedoms in their six components
     """
 
     levers: Array
@@ -45,6 +48,7 @@ class Moments:
     count: Array
     rest2: float
     freedom: float
+    own: Array
 
     def with_prior(self, noise: Noise, visits: float = PRIOR_VISITS) -> Moments:
         """As if some visits (at a few of the recording's poses) had shown `noise`."""
@@ -56,7 +60,7 @@ class Moments:
             np.concatenate([self.levers, b]), np.concatenate([self.live, live]),
             np.concatenate([self.second, second]),
             np.concatenate([self.count, np.full(len(where), visits / len(where))]),
-            self.rest2 + visits * per_visit * noise.instrument**2, self.freedom + visits * per_visit,
+            self.rest2 + visits * per_visit * noise.instrument**2, self.freedom + visits * per_visit, self.own,
         )  # fmt: skip
 
     def likelihood(self, noise: Noise) -> float:
@@ -74,6 +78,7 @@ class Form(Enum):
     EVEN = "the end effector, alike in all directions"
     TIP = "the end effector, by one covariance wherever it stands"
     JOINTS = "every joint by itself: one variance for its shifts, one for its turns"
+    DRIVES = "the end effector, alike in all directions, and every joint on its own way"
 
 
 def choose(moments: Moments, before: Noise, rank: int) -> tuple[Form, Noise]:
@@ -87,26 +92,33 @@ def choose(moments: Moments, before: Noise, rank: int) -> tuple[Form, Noise]:
 
 def fit(form: Form, moments: Moments, before: Noise, rank: int) -> Noise:
     """The most likely noise of this form; where there are many variances, drawn a little towards few."""
+    turning = np.repeat(np.eye(2), 3, axis=0)  # (6, 2): shifts, turns
+    at_the_tip = turning[:, : rank // 3]
+    joints = len(moments.own)
     if form is Form.JOINTS:
-        count = moments.levers.shape[2] - 6
-        turning, joint = (np.arange(count) % 6 >= 3).astype(int), np.arange(count) // 6
-        alike = _of_joints(moments, before, rank, turning)
-        found = _of_joints(moments.with_prior(alike), alike, rank, 2 * joint + turning)
+        alike = _of_parts(moments, before, rank, np.vstack([np.zeros((6, 2)), np.tile(turning, (joints, 1))]))
+        each = block_diag(np.zeros((6, 0)), *[turning] * joints)
+        found = _of_parts(moments.with_prior(alike), alike, rank, each)
         return replace(found, pose=fit(Form.TIP, moments, before, rank).pose)
     even = _at_the_tip(moments, before, rank)
+    if form is Form.DRIVES:
+        own = block_diag(at_the_tip, *(share[:, None] for share in moments.own))
+        found = _of_parts(moments.with_prior(even), even, rank, own)
+        return replace(found, pose=fit(Form.TIP, moments, before, rank).pose)
     return even if form is Form.EVEN else fit_pose(moments.with_prior(even), even, rank)
 
 
 def _free(form: Form, noise: Noise, rank: int) -> int:
-    """Free numbers; of the joints' variances those that are not nothing."""
-    if noise.joints is not None:
-        return int((noise.joints[:, [0, 3]] > 0).sum())
+    """Free numbers; of several parts' variances those that are not nothing."""
+    if noise.parts is not None:
+        shifts, turns = noise.parts[:, :3] > 0, noise.parts[:, 3:] > 0
+        return int(shifts.any(axis=1).sum() + turns.any(axis=1).sum())
     return rank // 3 if form is Form.EVEN else rank * (rank + 1) // 2
 
 
 def fit_pose(moments: Moments, noise: Noise, rank: int) -> Noise:
     """The most likely `pose` and `instrument`. With rank 3 the rotations stay zero and the instrument as it is."""
-    start = replace(noise, joints=None)
+    start = replace(noise, parts=None)
     b = moments.levers[..., :rank] * moments.live[..., None]
     twice = _symmetric(rank)
     best, value = start, moments.likelihood(start)
@@ -142,19 +154,18 @@ def fit_pose(moments: Moments, noise: Noise, rank: int) -> Noise:
 
 
 def fit_variances(
-    moments: Moments, start: Noise, columns: slice, groups: Index, make: Callable[[Array, float], Noise],
-    learn_instrument: bool,
-) -> Noise:  # fmt: skip
-    """The most likely variances of independent sources, one per group, and the instrument's.
+    moments: Moments, start: Noise, member: Array, make: Callable[[Array, float], Noise], learn_instrument: bool
+) -> Noise:
+    """The most likely variances of independent sources, and the instrument's.
 
-    columns  of the levers that move with the sources (M of them);  groups (M,) index of each, −1 for none
-    make     variances (M,) and σ → the noise
+    member  (M, g) share of each source in the variances of the first M levers
+    make    variances (M,) and σ → the noise
     """
-    number = int(groups.max()) + 1
-    member = (groups[:, None] == np.arange(number)).astype(float)
-    b = moments.levers[..., columns] * moments.live[..., None]
+    number = member.shape[1]
+    b = moments.levers[..., : len(member)] * moments.live[..., None]
     size = (member.T @ np.einsum("n,nik->k", moments.count, b**2)) / moments.count.sum()
-    variances = start.instrument**2 * b.shape[1] / np.maximum(size, 1e-300) / number
+    moves = size > SEEN * size.max()
+    variances = np.where(moves, start.instrument**2 * b.shape[1] / np.where(moves, size, 1.0) / number, 0.0)
     best = make(member @ variances, start.instrument)
     value = moments.likelihood(best)
     for _ in range(STEPS):
@@ -189,17 +200,17 @@ def fit_variances(
 
 def _at_the_tip(moments: Moments, start: Noise, rank: int) -> Noise:
     """The end effector scatters alike in all directions: one variance for shifts, one for turns, and the instrument."""
-    groups = np.array([0, 0, 0, 1, 1, 1]) if rank == 6 else np.array([0, 0, 0, -1, -1, -1])
-    return fit_variances(moments, start, slice(0, 6), groups, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
+    member = np.repeat(np.eye(2), 3, axis=0)[:, : rank // 3]
+    return fit_variances(moments, start, member, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
 
 
-def _of_joints(moments: Moments, start: Noise, rank: int, groups: Index) -> Noise:
-    """Every joint scatters by itself: groups (6n,) say which of the joints' components share a variance."""
+def _of_parts(moments: Moments, start: Noise, rank: int, member: Array) -> Noise:
+    """End effector and joints scatter by themselves: member (6 + 6n, g) says which components share a variance."""
 
     def make(variances: Array, sigma: float) -> Noise:
         return Noise(start.pose, sigma, variances.reshape(-1, 6))
 
-    return fit_variances(moments, start, slice(6, None), groups, make, rank == 6)
+    return fit_variances(moments, start, member, make, rank == 6)
 
 
 def _excess(moments: Moments, noise: Noise) -> tuple[Array, Array]:

@@ -55,7 +55,7 @@ def test_six_numbers_of_a_visit_say_all_that_nine_coordinates_do(recorded: tuple
     everything = np.ones(len(theta), dtype=bool)
     for noise in (
         Noise(np.diag([4e-9, 2e-9, 1e-9, 4e-10, 3e-10, 2e-10]), 2e-5),
-        Noise(np.eye(6) * 1e-9, 3e-5, np.linspace(1e-10, 2e-9, 36).reshape(6, 6)),
+        Noise(np.eye(6) * 1e-9, 3e-5, np.linspace(1e-10, 2e-9, 42).reshape(7, 6)),
     ):
         linear = Linearisation(model, some, theta, np.eye(4), np.arange(40))
         gram, moment, _ = linear.normal_equations(noise, weights, everything)

@@ -47,7 +47,9 @@ def test_the_least_that_a_file_must_say(tmp_path: Path) -> None:
 def test_an_optional_key_that_holds_nothing_is_not_there(tmp_path: Path) -> None:
     least = written(tmp_path, LEAST)
     nothing = LEAST.replace("[0, 0, 1]}", "[0, 0, 1], origin: null, limits: , link: ~, elastic: null}")
-    nothing = nothing.replace("0]}}", "0]}, points: null}") + "tracker: {base: }\nforce_sensor: null\nrepeatability: null\n"
+    nothing = (
+        nothing.replace("0]}}", "0]}, points: null}") + "tracker: {base: }\nforce_sensor: null\nrepeatability: null\n"
+    )
     assert written(tmp_path, nothing).sha256 == least.sha256
     with pytest.raises(MachineFileError, match="'gravity' is nothing, expected 3 numbers"):
         written(tmp_path, LEAST.replace("[0, 0, -9.81]", ""))
