@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ppshw.errors import BadInput, IdentificationFailed, RecordingError
+from ppshw.recording_file import is_sqlite
 from ppshw.whole_file import written_whole
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
@@ -77,7 +78,16 @@ def figure_row(name: str, values: dict[str, Any]) -> str:
 
 
 def new_file(path: str, *inputs: str) -> Path:
-    """Where an answer may go. Raises BadInput, or the system's OSError, before anything is computed, not after."""
+    """Where an answer may go: not over a recording, which may be hours of measuring. Raises BadInput, or the system's
+    OSError, before anything is computed, not after."""
+    out = _place(path, *inputs)
+    if out.is_file() and is_sqlite(out):
+        raise BadInput(f"{out}: is a recording already, expected another file to write")
+    return out
+
+
+def _place(path: str, *inputs: str) -> Path:
+    """A file that can be written and is none of what is read."""
     out = Path(path)
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
@@ -93,8 +103,8 @@ def new_file(path: str, *inputs: str) -> Path:
 
 
 def new_recording(path: str, *inputs: str) -> Path:
-    """Where a recording may go. Raises BadInput like `new_file`."""
-    out = new_file(path, *inputs)
+    """Where a recording may go, or go on. Raises BadInput like `new_file`."""
+    out = _place(path, *inputs)
     if out.suffix.lower() == ".csv":
         raise BadInput(f"{out}: a recording is a database, expected a name in .db; export makes a CSV of it")
     return out

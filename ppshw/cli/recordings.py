@@ -47,11 +47,8 @@ def import_(a: argparse.Namespace) -> None:
 def export(a: argparse.Namespace) -> None:
     """export: SQLite → CSV, the same cells in the same order."""
     from ppshw.recording import read_table
-    from ppshw.recording_file import is_sqlite
 
     out = new_file(a.csv, a.rec)
-    if out.is_file() and is_sqlite(out):
-        raise BadInput(f"{out}: is a recording already, expected the name of a CSV file to write")
     table = read_table(a.rec)
     with written_whole(out) as partial:
         partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")
