@@ -117,12 +117,25 @@ def times_at(speed: float) -> dict[str, float]:
     }
 
 
+def is_ours(site: Path) -> bool:
+    """Whether a file is a site file that `serve` wrote, which it may write anew; any other is somebody's own."""
+    return bool(_clock_of(site))
+
+
 def _epoch_before(site_out: Path, speed: float) -> float | None:
     """Started again on the same site file, the hall's clock runs on: hurried time must not jump back."""
-    if not site_out.is_file():
-        return None
-    clock = (yaml.safe_load(site_out.read_text(encoding="utf-8")) or {}).get("clock") or {}
+    clock = _clock_of(site_out)
     return float(clock["epoch"]) if clock.get("speed") == speed else None
+
+
+def _clock_of(site: Path) -> dict[str, float]:
+    """What a site file that `serve` wrote says of its clock; empty where there is none."""
+    try:
+        said = yaml.safe_load(site.read_text(encoding="utf-8"))
+        clock = said["clock"] if said["operator"]["kind"] == "simulated" else {}
+        return {key: float(clock[key]) for key in ("speed", "epoch")}
+    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        return {}
 
 
 def _announce(site: Path) -> None:

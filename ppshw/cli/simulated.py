@@ -14,10 +14,12 @@ from ppshw.progress import Bar
 
 
 def simulate(a: argparse.Namespace) -> None:
-    from simulators.serve import serve
+    from simulators.serve import is_ours, serve
 
     machine = machine_of(a)
     site = new_file(a.site_out, machine.file)
+    if site.is_file() and not is_ours(site):
+        raise BadInput(f"{site}: exists already and is no site file of simulated hardware, expected a new file")
 
     def announce(path: Path) -> None:
         put(json.dumps({"site": str(path)}))

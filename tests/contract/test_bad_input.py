@@ -732,6 +732,10 @@ ASKED: dict[str, tuple[str, str]] = {
     "a demo over recordings": ("demo --out .", "more, which no demo made; expected a new or an empty folder"),
     "a speed of nothing": ("simulate --machine machine.yaml --site-out s.yaml --speed 0", "--speed: invalid positive number"),
     "a site file nowhere": ("simulate --machine machine.yaml --site-out no/s.yaml", "no/s.yaml: the folder no does not exist"),
+    "simulated hardware over a real site": ("simulate --machine machine.yaml --site-out site.yaml",
+                                            "site.yaml: exists already and is no site file of simulated hardware, expected a new file"),
+    "simulated hardware over a list": ("simulate --machine machine.yaml --site-out list.yaml", "list.yaml: exists already and is no site file"),
+    "simulated hardware over what is no YAML": ("simulate --machine machine.yaml --site-out cut.yaml", "cut.yaml: exists already and is no site file"),
     "a recording nowhere": ("import good.csv --machine machine.yaml --out no/new.db", "the folder no does not exist"),
     "a table nowhere": ("export good.db no/new.csv", "no/new.csv: the folder no does not exist"),
     "a calibration nowhere": ("identify good.csv --machine machine.yaml --out no/c.json", "the folder no does not exist"),
@@ -777,6 +781,8 @@ def test_a_command_that_cannot_be_carried_out(desk: Path, case: str, monkeypatch
     monkeypatch.chdir(desk)
     shutil.copyfile("good.db", "campaign.db")
     shutil.copyfile("machine.yaml", "plain.yaml")
+    put("- 1\n")(desk / "list.yaml")
+    put("name: [\n")(desk / "cut.yaml")
     swap("  points: {treatment: [0.4, 0, 0.1]}\n", "")(desk / "plain.yaml")
     words = command.replace("CAL", "--machine machine.yaml --calibration cal.json").split()
     assert expected in refused(desk, *words)
