@@ -20,6 +20,7 @@ from ppshw.file_lock import locked
 from ppshw.whole_file import written_whole
 
 FORMAT = "ppshw recording 1"
+_OF_THE_DISK = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE shots (visit INTEGER NOT NULL REFERENCES visits(visit), target TEXT NOT NULL, data TEXT NOT NULL);
@@ -63,8 +64,11 @@ class RecordingFile:
         self._db = connection
 
     @classmethod
-    def create(cls, path: Path | str, columns: Sequence[str], meta: Mapping[str, str]) -> RecordingFile:
-        """A new, empty recording, there in one step. Raises RecordingError when the file exists already."""
+    def create(
+        cls, path: Path | str, columns: Sequence[str], meta: Mapping[str, str], rows: Iterable[Sequence[str]] = ()
+    ) -> RecordingFile:
+        """A new recording, there in one step with these rows (an import). Raises RecordingError when the file exists
+        already or cannot be one, RunFailed when the disk takes it no more."""
         path = Path(path)
         if path.exists():
             raise RecordingError(f"{path}: exists already, expected a new file")
@@ -74,9 +78,10 @@ class RecordingFile:
             raise RecordingError(f"{path}: column {twice[0]} is there twice, expected every name once")
         try:
             with written_whole(path) as partial:
-                _create(partial, columns, meta)
-        except sqlite3.Error as exc:  # no right to write there, no room, more columns than SQLite has
-            raise RecordingError(f"{path}: cannot be made ({exc})") from None
+                _create(partial, columns, meta, rows)
+        except sqlite3.Error as exc:  # no right to write there, more columns than SQLite has; or no room
+            kind = RunFailed if getattr(exc, "sqlite_errorcode", 0) & 0xFF in _OF_THE_DISK else RecordingError
+            raise kind(f"{path}: cannot be made ({exc})") from None
         return cls.open(path)
 
     @classmethod
@@ -168,13 +173,6 @@ class RecordingFile:
             )
         return visit
 
-    def append_rows(self, rows: Iterable[Sequence[str]]) -> None:
-        """Commit many rows at once, in the header's order (an import)."""
-        marks = ", ".join("?" * len(self.columns()))
-        names = ", ".join(_sql_names(self.columns()))
-        with self._writing():
-            self._db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
-
     def _forget(self, plan_index: int | None) -> None:
         mine = "SELECT visit FROM visits WHERE plan_index = ?"
         self._db.execute(f"DELETE FROM shots WHERE visit IN ({mine})", [plan_index])
@@ -214,7 +212,7 @@ class RecordingFile:
         return [(t, json.loads(d)) for t, d in rows]
 
 
-def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str]) -> None:
+def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str], rows: Iterable[Sequence[str]]) -> None:
     """Closed when done: SQLite names its journal after the file, so that an open one must not be moved."""
     path.unlink(missing_ok=True)  # of a process before, killed, that had our number
     with closing(sqlite3.connect(path, isolation_level=None)) as db, _transaction(db):
@@ -224,6 +222,8 @@ def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str]) -> None
         db.execute(f"CREATE TABLE visits (visit INTEGER PRIMARY KEY, plan_index INTEGER UNIQUE, {cells})")
         everything = {"format": FORMAT, "columns": json.dumps(list(columns)), **meta}
         db.executemany("INSERT INTO meta VALUES (?, ?)", list(everything.items()))
+        names, marks = ", ".join(_sql_names(columns)), ", ".join("?" * len(columns))
+        db.executemany(f"INSERT INTO visits ({names}) VALUES ({marks})", rows)
 
 
 class _transaction:

@@ -8,7 +8,7 @@ from pathlib import Path
 from ppshw import __version__
 from ppshw.cli.answers import READ_PER_S, new_file, new_recording, say
 from ppshw.cli.arguments import machine_of
-from ppshw.errors import BadInput, RunFailed
+from ppshw.errors import BadInput
 from ppshw.progress import Bar
 from ppshw.whole_file import written_whole
 
@@ -34,11 +34,7 @@ def import_(a: argparse.Namespace) -> None:
         "csv_newline": "CRLF" if table.newline == "\r\n" else "LF",
         "ppshw": __version__,
     }
-    with written_whole(out) as partial, RecordingFile.create(partial, table.header, meta) as file:
-        try:
-            file.append_rows(table.rows)
-        except RunFailed as exc:
-            raise RunFailed(f"{out}: cannot be written ({exc.__cause__})") from None
+    RecordingFile.create(out, table.header, meta, table.rows).close()
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
     say(a, answer, f"{a.out}: {len(recording)} visits, {readings} readings")

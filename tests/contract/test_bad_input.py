@@ -789,12 +789,16 @@ def test_a_command_that_cannot_be_carried_out(desk: Path, case: str, monkeypatch
 
 
 def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
+    connect = sqlite3.connect
 
-    monkeypatch.setattr("ppshw.recording_file.RecordingFile.append_rows", full)
+    def small(*given: Any, **options: Any) -> sqlite3.Connection:
+        db = connect(*given, **options)
+        db.execute("PRAGMA max_page_count = 5")
+        return db
+
+    monkeypatch.setattr("sqlite3.connect", small)
     words = ["import", desk / "good.csv", "--machine", desk / "machine.yaml", "--out", desk / "new.db"]
-    assert "disk is full" in refused(desk, *words, code=1)
+    assert f"{desk / 'new.db'}: cannot be made (database or disk is full)" in refused(desk, *words, code=1)
 
 
 # --- the program itself ----------------------------------------------------------------------------------------------

@@ -154,8 +154,7 @@ def test_whatever_is_in_a_recording_comes_back_from_csv(tmp_path: Path, names: l
     rows = [("0", *(data.draw(cell) for _ in header[1:])) for _ in range(3)]
     for old in ("a.db", "a.csv"):
         (tmp_path / old).unlink(missing_ok=True)
-    with RecordingFile.create(tmp_path / "a.db", header, {}) as file:
-        file.append_rows(rows)
+    RecordingFile.create(tmp_path / "a.db", header, {}, rows).close()
     assert ppshw("export", tmp_path / "a.db", tmp_path / "a.csv").code == 0
     text = (tmp_path / "a.csv").read_bytes().decode()
     table = read_table(tmp_path / "a.csv")

@@ -207,8 +207,7 @@ def write_recording(
                      *(f"{x:.9f}" for x in wanted[k])])  # fmt: skip
     if path.suffix == ".db":
         meta = {"versions": json.dumps({"numpy": "2"}), "campaign_name": "<b>c"}
-        with RecordingFile.create(path, header, meta) as file:
-            file.append_rows(rows)
+        RecordingFile.create(path, header, meta, rows).close()
         return
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *rows])
