@@ -150,7 +150,8 @@ class _Run:
                 return self._visits(file)
         except KeyboardInterrupt:
             self._bench.stop()
-            raise Stopped(f"stopped by the operator; {self._out} holds everything up to the last visit") from None
+            held = "holds everything up to the last visit" if self._out.exists() else "was not begun"
+            raise Stopped(f"stopped by the operator; {self._out} {held}") from None
         except BaseException:
             self._bench.stop()
             raise

@@ -498,6 +498,18 @@ def test_ctrl_c_stops_the_axes_and_keeps_what_was_measured(situation: Situation)
     assert situation.events("stopped") == ["interrupted"]
 
 
+def test_ctrl_c_before_the_first_visit_speaks_of_no_recording(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted() -> list[str]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(situation.axes, "start", interrupted)
+    with pytest.raises(Stopped, match=r"stopped by the operator; .*trial\.db was not begun$"):
+        situation.run()
+    assert not situation.out.exists()
+
+
 def test_a_lost_beam_stops_the_run_unless_the_script_says_skip(situation: Situation, tmp_path: Path) -> None:
     situation.tracker.lost = {"P2"}
     with pytest.raises(BeamLost, match="tracker: no target found at P2"):
