@@ -123,8 +123,14 @@ class RecordingFile:
         return dict(self._db.execute("SELECT key, value FROM meta"))
 
     def columns(self) -> tuple[str, ...]:
-        """The names of the columns, in the order of the CSV."""
-        return tuple(json.loads(self.meta()["columns"]))
+        """The names of the columns, in the order of the CSV. Raises RecordingError where the file is damaged."""
+        try:
+            names = json.loads(self.meta()["columns"])
+        except (KeyError, TypeError, ValueError):
+            names = None
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise RecordingError(f"{self.path}: damaged: it does not say the names of its columns")
+        return tuple(names)
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
         """Header and rows as text, in the order they were measured. Raises RecordingError where the file is damaged."""
@@ -135,7 +141,7 @@ class RecordingFile:
             if lacking := set(_sql_names(header)) - there:
                 raise ValueError(f"no column {', '.join(sorted(lacking))}")  # SQLite would take the name for a text
             rows = tuple(self._db.execute(f"SELECT {names} FROM visits ORDER BY visit"))
-        except (sqlite3.Error, KeyError, TypeError, ValueError, AttributeError) as exc:
+        except (sqlite3.Error, ValueError) as exc:
             raise RecordingError(f"{self.path}: damaged: {exc}") from None
         for k, row in enumerate(rows):
             if not all(isinstance(cell, str) for cell in row):
@@ -204,12 +210,22 @@ class RecordingFile:
     def events(self) -> list[tuple[str, str, str, dict[str, Any]]]:
         """The event log in its order: (time in ISO 8601 UTC, kind, text, data)."""
         rows = self._db.execute("SELECT time, kind, text, data FROM events ORDER BY rowid")
-        return [(t, k, x, json.loads(d)) for t, k, x, d in rows]
+        return [(t, k, x, self._said("an event", d)) for t, k, x, d in rows]
 
     def shots(self, visit: int) -> list[tuple[str, dict[str, Any]]]:
         """The raw shots of a visit, counted from 1, in their order: (target, or `wrench`, and what the device said)."""
         rows = self._db.execute("SELECT target, data FROM shots WHERE visit = ? ORDER BY rowid", [visit])
-        return [(t, json.loads(d)) for t, d in rows]
+        return [(t, self._said(f"a shot of visit {visit}", d)) for t, d in rows]
+
+    def _said(self, what: str, text: str) -> dict[str, Any]:
+        """Raises RecordingError where the file is damaged."""
+        try:
+            said = json.loads(text)
+        except (TypeError, ValueError):
+            said = None
+        if not isinstance(said, dict):
+            raise RecordingError(f"{self.path}: damaged: {what} says {text!r:.40}, expected an object of JSON")
+        return said
 
 
 def _create(path: Path, columns: Sequence[str], meta: Mapping[str, str], rows: Iterable[Sequence[str]]) -> None:

@@ -6,6 +6,7 @@ A file that is there but broken is an error: a report that leaves it out in sile
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -185,10 +186,17 @@ def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str, d
 
 
 def _json(path: Path) -> Any:
+    """Raises ReportError where it is none; NaN and what is too large for a number are no JSON either."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as exc:
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_finite, parse_float=_finite)
+    except (ValueError, RecursionError) as exc:
         raise ReportError(f"{path}: not valid JSON, or cut off ({exc})") from None
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is no finite number")
+    return value
 
 
 def _what_is_wrong(exc: Exception) -> str:

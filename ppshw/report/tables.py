@@ -149,10 +149,16 @@ def provenance(contents: Contents) -> list[tuple[str, str]]:
             if key in source.meta:
                 shared.setdefault((key, source.meta[key]), []).append(source.name)
     for (key, value), names in shared.items():
-        if key == "versions":
-            value = ", ".join(f"{k} {v}" for k, v in json.loads(value).items())  # noqa: PLW2901
-        out.append((f"{META[key]}, {', '.join(names)}", value))
+        out.append((f"{META[key]}, {', '.join(names)}", _versions(value) if key == "versions" else value))
     return out
+
+
+def _versions(text: str) -> str:
+    """As a run wrote them, an object of JSON; whatever else stands there as it stands."""
+    try:
+        return ", ".join(f"{library} {version}" for library, version in json.loads(text).items())
+    except (ValueError, AttributeError):
+        return text
 
 
 def devices(contents: Contents) -> list[dict[str, str]]:

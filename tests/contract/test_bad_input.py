@@ -489,7 +489,7 @@ DATABASES: dict[str, tuple[Spoil, str]] = {
     "garbage behind the header": (fill(b"SQLite format 3\0" + GARBAGE), "not a recording, or cut off"),
     "another database": (another_database, "not a recording"),
     "another format": (sql("UPDATE meta SET value = 'x 2' WHERE key = 'format'"), "expected 'ppshw recording 1', found 'x 2'"),
-    "no columns": (sql("DELETE FROM meta WHERE key = 'columns'"), "damaged: 'columns'"),
+    "no columns": (sql("DELETE FROM meta WHERE key = 'columns'"), "damaged: it does not say the names of its columns"),
     "columns in shreds": (sql("UPDATE meta SET value = '[\"q' WHERE key = 'columns'"), "damaged"),
     "columns that are not there": (sql("UPDATE meta SET value = '[\"z\"]' WHERE key = 'columns'"), "damaged"),
     "columns of numbers": (sql("UPDATE meta SET value = '[1, 2]' WHERE key = 'columns'"), "damaged"),

@@ -7,6 +7,7 @@ import csv
 import json
 import re
 import shutil
+import sqlite3
 from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
@@ -532,6 +533,9 @@ def answer(**other: Any) -> str:
     [
         ("calibration.json", '{"format": "ppshw cal', "not valid JSON, or cut off"),
         ("demo.json", "[1]", "expected an object"),
+        ("demo.json", '{"seconds": NaN}', r"demo\.json: not valid JSON, or cut off \(NaN is no finite number\)"),
+        ("demo.json", '{"seconds": 1e400}', "1e400 is no finite number"),
+        ("demo.json", "[" * 100_000, "not valid JSON, or cut off"),
         ("diagnosis.json", "[1]", "no answer of a diagnosis, without findings"),
         ("diagnosis.json", answer(findings=[{"effect": "drift"}]), "no answer of a diagnosis: 'sentence' is missing"),
         ("diagnosis.json", answer(findings=[{"sentence": ""}]), "'' where a text is expected"),
@@ -555,6 +559,22 @@ def test_a_broken_file_is_refused_and_the_page_before_it_stays(copy: Path, name:
     assert name in str(caught.value)
     assert (copy / "report.html").read_bytes() == before
     assert not list(copy.glob("*.part"))
+
+
+def test_versions_that_nobody_can_read_are_shown_as_they_stand(copy: Path) -> None:
+    with sqlite3.connect(copy / "repeatability.db") as db:
+        db.execute("UPDATE meta SET value = 'NaN' WHERE key = 'versions'")
+    db.close()
+    build_report(copy, NOW)
+    assert "Versions, repeatability.dbNaN" in page(copy).words
+
+
+def test_an_event_in_shreds_is_said_to_be(copy: Path) -> None:
+    with sqlite3.connect(copy / "repeatability.db") as db:
+        db.execute("INSERT INTO events VALUES ('2026-03-04T06:00:00+00:00', 'start', 'started', '[')")
+    db.close()
+    with pytest.raises(BadInput, match=r"repeatability\.db: damaged: an event says '\[', expected an object of JSON"):
+        build_report(copy, NOW)
 
 
 def test_a_folder_with_nothing_to_report_on_says_what_was_expected(tmp_path: Path) -> None:
