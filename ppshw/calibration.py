@@ -334,7 +334,7 @@ def load_calibration(path: Path | str, machine: Machine) -> Calibration:
         if data.get("content_sha256") != content_digest(data):
             raise ValueError("the content does not match its content_sha256; was it edited by hand?")
         calibration = _from_dict(data, machine)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, zlib.error) as exc:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, zlib.error) as exc:
         what = f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
         raise CalibrationError(f"{path}: damaged: {what}") from None
     if wrong := _unfit(calibration):
@@ -347,9 +347,13 @@ def _unfit(found: Calibration) -> str:
     everything = {"terms": found.theta, "covariance": found.covariance, "measuring_in_base": found.measuring_in_base,
                   "valid.joints": found.joint_range, "valid.payload": found.payload_range, "noise": found.noise.pose,
                   "valid.temperatures": np.array(list(found.temperature_range.values())),
+                  "strengths": np.array(list(found.strengths.values())),
+                  "noise.instrument": np.array(found.noise.instrument),
                   "targets": found.machine.target_array}  # fmt: skip
     if found.laid is not None:
         everything["laid"] = found.laid
+    if found.noise.instrument <= 0:
+        return "noise.instrument is no standard deviation"
     if found.noise.parts is not None:
         if (found.noise.parts < 0).any():
             return "noise.joints or noise.end_effector holds negative variances"
@@ -371,7 +375,8 @@ def _unfit(found: Calibration) -> str:
 
 
 def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
-    moved = machine.with_targets({name: np.array(data["targets"][name], dtype=float) for name in machine.targets})
+    targets = {name: np.array(data["targets"][name], dtype=float).reshape(3) for name in machine.targets}
+    moved = machine.with_targets(targets)
     if (bent_by := data.get("bent_by", "own" if data.get("hangs", True) else "beyond")) not in get_args(BentBy):
         raise ValueError(f"'bent_by' is {bent_by!r}, expected one of {', '.join(get_args(BentBy))}")
     moved = replace(moved, bent_by=bent_by)
