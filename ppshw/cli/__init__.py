@@ -30,6 +30,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         argv = sys.argv[1:]
         _as_a_program()
+    if broken := next((word for word in argv if not _is_text(word)), None):
+        return _complain(f"{broken}: a name that is no UTF-8 text, expected one that recordings and pages can hold", 2)
     # a leading space keeps argparse from taking -1e-3 or -0.1,2 for an option
     arguments = build_parser().parse_args([f" {word}" if _NEGATIVE.fullmatch(word) else word for word in argv])
     try:
@@ -50,6 +52,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _complain(f"internal error: {type(error).__name__}: {error} (PPSHW_DEBUG=1 shows where)", 1)
     return 0
+
+
+def _is_text(word: str) -> bool:
+    """Whether a word can be written down: the bytes of a file's name may be of another encoding."""
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _as_a_program() -> None:

@@ -6,6 +6,7 @@ nothing written. One test per case, through the command line."""
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -791,6 +792,14 @@ def test_a_command_that_cannot_be_carried_out(desk: Path, case: str, monkeypatch
     swap("  points: {treatment: [0.4, 0, 0.1]}\n", "")(desk / "plain.yaml")
     words = command.replace("CAL", "--machine machine.yaml --calibration cal.json").split()
     assert expected in refused(desk, *words)
+
+
+def test_a_name_in_no_encoding_is_refused_before_anything_is_computed(desk: Path) -> None:
+    """It would go into a recording, a calibration and pages, which could not be written in the end."""
+    name = desk / os.fsdecode(b"caf\xe9.csv")
+    shutil.copyfile(desk / "good.csv", name)
+    line = refused(desk, "import", name, "--machine", desk / "machine.yaml", "--out", desk / "new.db")
+    assert "a name that is no UTF-8 text" in line
 
 
 def test_a_failed_import_leaves_no_part_behind(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
