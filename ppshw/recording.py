@@ -440,6 +440,18 @@ def _seconds(text: str) -> float:
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
 
 
+def _no_header(text: str) -> str:
+    """Why the first line of a table is no header as it should be; empty where it may be one."""
+    first = next(iter(text.splitlines()), "").strip()
+    if not first:
+        return "an empty line, expected the names of the columns"
+    if first.startswith("sep="):  # which some spreadsheets take as their own
+        return f"{first!r}, expected the names of the columns"
+    if "," not in first and (separator := next((c for c in ";\t|" if c in first), "")):
+        return f"columns are separated by {separator!r}, expected ',' (and decimal points)"
+    return ""
+
+
 def _read_csv(path: Path) -> Table:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -449,13 +461,13 @@ def _read_csv(path: Path) -> Table:
     if (nul := text.find("\0")) >= 0:
         line = text.count("\n", 0, nul) + 1
         raise RecordingError(f"{path}:{line}: a zero byte, expected text; is the file damaged?")
+    if wrong := _no_header(text):
+        raise RecordingError(f"{path}:1: {wrong}")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []
     try:
         header = tuple(next(reader, ()))
-        if len(header) == 1 and (separator := next((c for c in ";\t|" if c in header[0]), "")):
-            raise RecordingError(f"{path}:1: columns are separated by {separator!r}, expected ',' (and decimal points)")
         for row in reader:
             if len(row) <= 1 and not "".join(row).strip():  # a blank line, spaces or none
                 continue

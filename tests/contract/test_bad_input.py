@@ -217,6 +217,13 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a column without name": (swap("settle_s", ""), ":1: column 10 is without a name"),
     "a row cut off": (cut(0.512), "cells, the header has 27; is the file cut off?"),
     "semicolons between columns": (swap(",", ";", -1), ":1: columns are separated by ';', expected ','"),
+    "semicolons, and every cell in quotes": (
+        lambda p: put("\n".join('"' + row.replace(",", '";"') + '"' for row in p.read_text().splitlines()))(p),
+        ":1: columns are separated by ';', expected ','",
+    ),
+    "an empty line at the top": (lambda p: put("\n" + p.read_text())(p), ":1: an empty line, expected the names of the columns"),
+    "empty lines only": (put("\n\n"), ":1: an empty line, expected the names of the columns"),
+    "a word of a spreadsheet at the top": (lambda p: put("sep=,\n" + p.read_text())(p), ":1: 'sep=,', expected the names of the columns"),
     "a row of commas": (lambda p: put(p.read_text() + "," * 26 + "\n")(p), ": an empty row, commas only"),
     "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
     "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
