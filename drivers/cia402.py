@@ -481,14 +481,14 @@ class Cia402Axis:
 
     def _drive_fault(self) -> DriveFault:
         code = self._emergency
-        if code is None:
-            try:
+        try:
+            if code is None:
                 code = self.sdo.read_if_present(ERROR_CODE)
-            except HardwareError as error:
-                return DriveFault(self.name, f"drive fault, its code cannot be read: {error.cause}")
-        if not code:  # none, or none yet: some drives give it when their reaction has ended
-            register = self.sdo.read_if_present(ERROR_REGISTER)
-            return DriveFault(self.name, f"drive fault without a code, error register {_hex(register)}")
+            if not code:  # none, or none yet: some drives give it when their reaction has ended
+                register = self.sdo.read_if_present(ERROR_REGISTER)
+                return DriveFault(self.name, f"drive fault without a code, error register {_hex(register)}")
+        except HardwareError as error:
+            return DriveFault(self.name, f"drive fault, its code cannot be read: {error.cause}")
         return DriveFault(self.name, f"drive fault 0x{code:04X}, {meaning(code)}")
 
 

@@ -529,6 +529,23 @@ def test_a_drive_that_keeps_its_error_code_until_the_reaction_has_ended_is_fault
         m.group.raise_if_faulty()
 
 
+def test_a_faulty_drive_that_does_not_say_what_it_has_is_faulty_all_the_same(build: Callable[..., Machine]) -> None:
+    m = build(reaction_s=30.0, missing=(0x1014,))
+    m.group.start()
+    m.drive("lift").lie_about(0x603F, 0)
+    read = m.group._axes["lift"].sdo.read_if_present
+
+    def ask(entry: Any) -> int | None:
+        if entry.index == 0x1001:
+            raise HardwareTimeout("lift", "no SDO answer")
+        return read(entry)
+
+    m.group._axes["lift"].sdo.read_if_present = ask  # type: ignore[method-assign]
+    m.drive("lift").trip(0x2310)
+    with pytest.raises(DriveFault, match="lift: drive fault, its code cannot be read: no SDO answer"):
+        m.group.raise_if_faulty()
+
+
 def test_a_fault_reset_enables_nothing(machine: Machine) -> None:
     machine.drive("slew").trip(0x4310)
     machine.group.reset_faults()
