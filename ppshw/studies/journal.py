@@ -84,16 +84,19 @@ class Journal:
 
 
 def _read(path: Path) -> dict[str, Json]:
+    """Every line; one that was cut off by a kill is taken away. A file that is no journal is left as it is."""
     whole = path.read_bytes()
     end = whole.rfind(b"\n") + 1
-    if end < len(whole):
-        with path.open("r+b") as file:
-            file.truncate(end)
+    if end < len(whole) and not whole[end:].startswith(b"{"):
+        raise BadInput(f"{path}: no study's journal, expected another folder")
     out: dict[str, Json] = {}
-    for number, text in enumerate(whole[:end].decode("utf-8").splitlines(), start=1):
+    for number, text in enumerate(whole[:end].splitlines(), start=1):
         try:
             line = json.loads(text)
             out[line["key"]] = {k: line[k] for k in ("code", "function", "arguments", "seconds", "result")}
         except (ValueError, KeyError, TypeError):
             raise BadInput(f"{path}:{number}: no line of a study's journal, expected another folder") from None
+    if end < len(whole):
+        with path.open("r+b") as file:
+            file.truncate(end)
     return out

@@ -18,6 +18,7 @@ import study_jobs
 from ppshw.errors import BadInput, RecordingError
 from ppshw.studies import engine
 from ppshw.studies.engine import Cluster, Job, run_jobs
+from ppshw.studies.journal import Journal
 
 HERE = Cluster(workers=0)
 ROOT = Path(__file__).parents[2]
@@ -162,6 +163,15 @@ def test_a_journal_of_other_arguments_another_function_or_other_code_is_refused(
     journal.write_text("throws, 4\n")
     with pytest.raises(BadInput, match=r"results.jsonl:1: no line of a study's journal"):
         run_jobs(study_jobs.dice, jobs(2), journal, HERE)
+
+
+@pytest.mark.parametrize("content", [b"my notes", b"\xff\xfe\n", b"mine\nand mine"])
+def test_a_file_that_is_no_journal_is_refused_and_stays_as_it_is(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=r"results\.jsonl.* journal, expected another folder"), Journal.opened(path, "f"):
+        pass
+    assert path.read_bytes() == content
 
 
 def test_two_studies_do_not_write_one_journal(tmp_path: Path) -> None:
