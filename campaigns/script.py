@@ -23,6 +23,7 @@ DIRECTIONS = ("up", "down", "both")
 ORDERS = ("by_load", "as_written")
 # Where a script does not say: to stand still, for one target, to put another load on [s].
 SETTLE_S, MEASURE_S, LOAD_CHANGE_S = 5.0, 4.0, 600.0
+HEAVIEST = 1e5  # kg; what no force sensor's reading may say either
 
 
 @dataclass(frozen=True)
@@ -225,9 +226,12 @@ def _loads(top: Section, seed: int) -> dict[str, tuple[LoadCase, ...]]:
         if "random" in section:
             out[name] = _random_loads(section, name, np.random.default_rng([seed, 1000 + k]))
         else:
-            mass = section.number("mass", low=0.0)
+            mass = section.number("mass", low=0.0, high=HEAVIEST)
             com = section.vector("com", 3, default=(0.0, 0.0, 0.0))
             out[name] = (LoadCase(name, mass, (float(com[0]), float(com[1]), float(com[2]))),)
+        known = {case.name for cases in list(out.values())[:-1] for case in cases}
+        if twice := [case.name for case in out[name] if case.name in known]:
+            section.fail(f"load '{twice[0]}' is defined twice", "name")
         section.done()
     return out or {"empty": (EMPTY,)}
 
@@ -237,6 +241,8 @@ def _random_loads(section: Section, name: str, rng: np.random.Generator) -> tupl
     count = section.integer("random", low=1, high=1000)
     box = section.need("com")
     ranges = [_range(section, "mass"), *(_range(box, axis) for axis in "xyz")]
+    if not 0.0 <= ranges[0][0] <= ranges[0][1] <= HEAVIEST:
+        section.fail(f"'{section.path('mass')}' must lie between 0 and {HEAVIEST:g} kg", "mass")
     box.done()
     low, high = np.array(ranges).T
     drawn = rng.uniform(low, high, size=(count, 4))
@@ -288,6 +294,8 @@ def _step(section: Section, file: str, loads: Mapping[str, tuple[LoadCase, ...]]
             deal=section.flag("deal", default=True),
         )  # fmt: skip
     section.done()
+    if not wanted and not (isinstance(step, PosesStep) and all(pose.load for pose in step.poses)):
+        section.fail(f"'{section.path('loads')}' is empty, expected at least one load, or none of this key", "loads")
     return step
 
 
@@ -311,7 +319,12 @@ def _sweep(
 
 
 def _pose(section: Section, file: str, loads: Mapping[str, tuple[LoadCase, ...]]) -> Pose:
-    load = section.text("load", choices=tuple(loads)) if "load" in section else None
+    load = None
+    if "load" in section:
+        cases = loads[section.text("load", choices=tuple(loads))]
+        if len(cases) > 1:
+            section.fail(f"'{section.path('load')}' stands for {len(cases)} load cases, expected one load", "load")
+        load = cases[0].name
     pose = Pose(_joint_values(section, "q"), load, f"{file}:{section.line}")
     section.done()
     return pose

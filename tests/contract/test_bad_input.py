@@ -547,6 +547,19 @@ CAMPAIGNS: dict[str, tuple[Spoil, str]] = {
     "nothing to measure": (swap("count: 5", "count: 0"), "'steps[0].count' is 0"),
     "a load's name twice": (swap("name: box", "name: empty"), "empty"),
     "an unknown load": (swap("loads: [empty]", "loads: [full]"), ":8: 'steps[0].loads' has 'full', expected empty, box"),
+    "a step without loads": (swap("loads: [empty]", "loads: []"), ":8: 'steps[0].loads' is empty, expected at least one load"),
+    "a pose under a load that is several": (
+        both(swap("mass: 60, com: [0, 0, 0.2]", "random: 3, mass: [5, 9], com: {x: [0, 0], y: [0, 0], z: [0, 0.1]}"),
+             swap("poses: [{q: {rail: 0.2, turn: 0.5}}]", "poses: [{q: {rail: 0.2}, load: box}]")),
+        ":10: 'steps[2].poses[0].load' stands for 3 load cases, expected one load"),
+    "a random load that is called like another": (
+        swap("{name: box, mass: 60, com: [0, 0, 0.2]}",
+             "{name: box-1, mass: 5}\n  - {name: box, random: 3, mass: [5, 9], com: {x: [0, 0], y: [0, 0], z: [0, 0.1]}}"),
+        ":7: load 'box-1' is defined twice"),
+    "loads that may weigh less than nothing": (
+        swap("mass: 60, com: [0, 0, 0.2]", "random: 3, mass: [-5, 9], com: {x: [0, 0], y: [0, 0], z: [0, 0.1]}"),
+        ":6: 'loads[1].mass' must lie between 0 and 100000 kg"),
+    "a load in milligrams": (swap("mass: 60", "mass: 6e7"), ":6: 'loads[1].mass' is 6e+07, expected between 0 and 100000"),
     "an unknown joint": (swap("joint: rail", "joint: lift"), "no joint 'lift' (there are: rail, turn)"),
     "an unknown target": (swap("count: 3", "count: 3, targets: [P9]"), "no target 'P9' (there are: P1, P2, P3, treatment)"),
     "an unknown kind": (swap("kind: random", "kind: wild"), "is 'wild', expected poses or sweep or random"),

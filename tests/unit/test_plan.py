@@ -160,3 +160,13 @@ steps: [{step: a, kind: poses, poses: [{q: {lateral: 1.0}, load: empty}, {q: {},
 """
     # two visits: 5 s and three targets of 2 s each; one load change; lateral 1 m there and back at 11 s each
     assert plan(tmp_path, text, pps).summary().duration_s == pytest.approx(2 * (5 + 6) + 100 + 2 * 11)
+
+
+@pytest.mark.parametrize("loads", ["[box]", "[]"])
+def test_a_pose_is_measured_under_its_own_load_whatever_its_step_has(tmp_path: Path, pps: Machine, loads: str) -> None:
+    text = f"""
+loads: [{{name: empty, mass: 0}}, {{name: box, mass: 60}}, {{name: one, random: 1, mass: [5, 9], com: {{x: [0, 0], y: [0, 0], z: [0, 0]}}}}]
+steps:
+  - {{step: a, kind: poses, loads: {loads}, poses: [{{q: {{}}, load: empty}}, {{q: {{yaw: 0.1}}, load: box}}, {{q: {{}}, load: one}}]}}
+"""  # noqa: E501
+    assert [visit.load for visit in plan(tmp_path, text, pps).visits] == ["empty", "box", "one-1"]

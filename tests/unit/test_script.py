@@ -52,7 +52,7 @@ def test_a_script_is_read_with_its_steps_and_loads(tmp_path: Path) -> None:
         ("kind: random", "kind: guess", 8, "expected poses or sweep or random"),
         ("[-0.5, 0.5]", "[0.5, -0.5]", 8, "runs from 0.5 down to -0.5"),
         ("step: any", "step: home", 8, "used twice"),
-        ("mass: 50", "mass: -50", 4, "expected at least 0"),
+        ("mass: 50", "mass: -50", 4, "expected between 0 and 100000"),
     ],
 )
 def test_a_mistake_is_reported_with_file_and_line(
