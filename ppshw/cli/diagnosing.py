@@ -41,15 +41,8 @@ def report(a: argparse.Namespace) -> None:
 def diagnose(a: argparse.Namespace) -> None:
     """diagnose: locate, name, model; sentences to the terminal, the answer into the file that --json names."""
     from ppshw.diagnosis import diagnose as run
-    from ppshw.diagnosis import serial
-    from ppshw.diagnosis.checks import sentence
     from ppshw.diagnosis.library import NAMES
     from ppshw.diagnosis.modelled import extended
-    from ppshw.diagnosis.search import MOST_FINDINGS
-    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
-    from ppshw.diagnosis.wording import how_sure, unexplained, would_have_shown
-    from ppshw.identification.own_weight import NOT_BENT
-    from ppshw.identification.plausible import noisier_than_stated
     from ppshw.recording import load_recording
 
     without = frozenset(a.without)
@@ -58,32 +51,13 @@ def diagnose(a: argparse.Namespace) -> None:
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
     new_files([out for out in (a.json, a.out, a.page) if out not in (None, "-")], a.rec, machine.file)
-    warnings = doubts_about(machine, recording)
-    if not np.isfinite(recording.time).all():
-        warnings.append("no column time: what goes with time is said in hours at 40 visits an hour")
-    if recording.has_wrench and not any(recording.load):
-        warnings.append("no column load: what goes on after a load was changed is not looked for")
-    if not recording.has_wrench and not any(recording.load):
-        warnings.append("no column load and no wrench: a load that was changed looks like a zero that jumped")
-    warn(a.rec, warnings)
+    before = _doubts_before(machine, recording)
+    warn(a.rec, before)
     with Bar() as bar:
         found = run(machine, recording, without=without, progress=lambda k, n: bar("diagnose", k, n))
-    if len({(candidate.effect, candidate.joint) for _, candidate in found.found}) >= MOST_FINDINGS:
-        warnings.append(f"the search ended at {MOST_FINDINGS} effects: there may be more")
-        warn(a.rec, warnings[-1:])
-    of_sensor = any(f["effect"] == "wrench_error" for f in found.answer["findings"])
-    if not of_sensor and (said := doubt_of_sensor(found.space.context)):
-        warnings.append(said)
-        warn(a.rec, warnings[-1:])
-    if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"], "noise"):
-        warnings.append(doubt)
-        warn(a.rec, warnings[-1:])
-    if (off := found.space.reflectors_off) is not None:
-        warnings.append(
-            f"reflectors are some {1e3 * off:.2f} mm (rms, each coordinate) from where the machine file has them, by "
-            "the distances between them: measure them again, or say targets: estimate"
-        )
-        warn(a.rec, warnings[-1:])
+    after = _doubts_after(machine, found)
+    warn(a.rec, after)
+    warnings = before + after
     answer = {**found.answer, "warnings": warnings}
     if a.page is not None:
         from ppshw.report.diagnosis import write_diagnosis
@@ -99,6 +73,51 @@ def diagnose(a: argparse.Namespace) -> None:
     if a.json is not None:
         with written_whole(Path(a.json)) as partial:
             partial.write_text(text, encoding="utf-8")
+    lines = _sentences(answer, found.space.machine.bent_by) + ([f"page {a.page}"] if a.page else [])
+    put("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
+
+
+def _doubts_before(machine: Any, recording: Any) -> list[str]:
+    """What is odd about a recording before anything is looked for, each in a line."""
+    out = doubts_about(machine, recording)
+    if not np.isfinite(recording.time).all():
+        out.append("no column time: what goes with time is said in hours at 40 visits an hour")
+    if recording.has_wrench and not any(recording.load):
+        out.append("no column load: what goes on after a load was changed is not looked for")
+    if not recording.has_wrench and not any(recording.load):
+        out.append("no column load and no wrench: a load that was changed looks like a zero that jumped")
+    return out
+
+
+def _doubts_after(machine: Any, found: Any) -> list[str]:
+    """What a diagnosis gives reason to doubt beside what it found, each in a line."""
+    from ppshw.diagnosis.search import MOST_FINDINGS
+    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
+    from ppshw.identification.plausible import noisier_than_stated
+
+    out = []
+    if len({(candidate.effect, candidate.joint) for _, candidate in found.found}) >= MOST_FINDINGS:
+        out.append(f"the search ended at {MOST_FINDINGS} effects: there may be more")
+    of_sensor = any(f["effect"] == "wrench_error" for f in found.answer["findings"])
+    if not of_sensor and (said := doubt_of_sensor(found.space.context)):
+        out.append(said)
+    if doubt := noisier_than_stated(machine, found.answer["noise_floor_mm"], "noise"):
+        out.append(doubt)
+    if (off := found.space.reflectors_off) is not None:
+        out.append(
+            f"reflectors are some {1e3 * off:.2f} mm (rms, each coordinate) from where the machine file has them, by "
+            "the distances between them: measure them again, or say targets: estimate"
+        )
+    return out
+
+
+def _sentences(answer: dict[str, Any], bent_by: str) -> list[str]:
+    """What is printed of an answer."""
+    from ppshw.diagnosis import serial
+    from ppshw.diagnosis.checks import sentence
+    from ppshw.diagnosis.wording import how_sure, unexplained, would_have_shown
+    from ppshw.identification.own_weight import NOT_BENT
+
     held = answer["held_out"]
     lines = [f"{answer['visits']} visits: {answer['verdict'].replace('_', ' ')}"]
     lines += [f"  {f['sentence']} {how_sure(f)}" for f in answer["findings"]]
@@ -109,15 +128,14 @@ def diagnose(a: argparse.Namespace) -> None:
                  f"noise {answer['noise_floor_mm']:.3f} mm")  # fmt: skip
     if answer["verdict"] == "consistent" and (seen := would_have_shown(answer["visibility"])):
         lines.append(seen)
-    if (how := NOT_BENT.get(found.space.machine.bent_by)) is not None:
+    if (how := NOT_BENT.get(bent_by)) is not None:
         lines.append(f"own weights {how}")
     if remembers := serial.sentence(answer):
         lines.append(remembers)
     lines.append(f"by the base model {sentence(answer['checks']['before'])}")
     if answer["findings"] or answer["unexplained"] is not None:
         lines.append(f"with what was found {sentence(answer['checks']['after'])}")
-    lines += [f"page {a.page}"] if a.page else []
-    put("\n".join([folded(lines), *_what_to_measure(a, answer["findings"])]))
+    return lines
 
 
 def _what_to_measure(a: argparse.Namespace, findings: list[dict[str, Any]]) -> list[str]:
