@@ -84,28 +84,34 @@ class Form(Enum):
 def choose(moments: Moments, before: Noise, rank: int) -> tuple[Form, Noise]:
     """The form that the data speak for, every free number costing log n (Schwarz 1978), and its noise."""
     cost = float(np.log(max(moments.count.sum(), 2.0)))
-    found = {form: fit(form, moments, before, rank) for form in Form}
+    found = {form: _fit(form, moments, before, rank) for form in Form}
     value = {form: moments.likelihood(noise) - cost * _free(form, noise, rank) for form, noise in found.items()}
     best = max(value, key=lambda form: value[form])
-    return best, found[best]
+    return best, found[best] if found[best].parts is None else replace(found[best], pose=found[Form.TIP].pose)
 
 
 def fit(form: Form, moments: Moments, before: Noise, rank: int) -> Noise:
     """The most likely noise of this form; where there are many variances, drawn a little towards few."""
+    found = _fit(form, moments, before, rank)
+    return found if found.parts is None else replace(found, pose=_fit(Form.TIP, moments, before, rank).pose)
+
+
+def _fit(form: Form, moments: Moments, before: Noise, rank: int) -> Noise:
+    """`fit`, but that `pose` says nothing where the noise is of several parts."""
     turning = np.repeat(np.eye(2), 3, axis=0)  # (6, 2): shifts, turns
-    at_the_tip = turning[:, : rank // 3]
-    joints = len(moments.own)
     if form is Form.JOINTS:
+        joints = len(moments.own)
         alike = _of_parts(moments, before, rank, np.vstack([np.zeros((6, 2)), np.tile(turning, (joints, 1))]))
         each = block_diag(np.zeros((6, 0)), *[turning] * joints)
-        found = _of_parts(moments.with_prior(alike), alike, rank, each)
-        return replace(found, pose=fit(Form.TIP, moments, before, rank).pose)
-    even = _at_the_tip(moments, before, rank)
-    if form is Form.DRIVES:
-        own = block_diag(at_the_tip, *(share[:, None] for share in moments.own))
-        found = _of_parts(moments.with_prior(even), even, rank, own)
-        return replace(found, pose=fit(Form.TIP, moments, before, rank).pose)
-    return even if form is Form.EVEN else fit_pose(moments.with_prior(even), even, rank)
+        return _of_parts(moments.with_prior(alike), alike, rank, each)
+    at_the_tip = turning[:, : rank // 3]
+    even = fit_variances(moments, before, at_the_tip, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
+    if form is Form.EVEN:
+        return even
+    if form is Form.TIP:
+        return fit_pose(moments.with_prior(even), even, rank)
+    own = block_diag(at_the_tip, *(share[:, None] for share in moments.own))
+    return _of_parts(moments.with_prior(even), even, rank, own)
 
 
 def _free(form: Form, noise: Noise, rank: int) -> int:
@@ -196,12 +202,6 @@ def fit_variances(
         if gained < ENOUGH:
             break
     return best
-
-
-def _at_the_tip(moments: Moments, start: Noise, rank: int) -> Noise:
-    """The end effector scatters alike in all directions: one variance for shifts, one for turns, and the instrument."""
-    member = np.repeat(np.eye(2), 3, axis=0)[:, : rank // 3]
-    return fit_variances(moments, start, member, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
 
 
 def _of_parts(moments: Moments, start: Noise, rank: int, member: Array) -> Noise:
