@@ -34,6 +34,7 @@ FRAME_LENGTH = 28
 OVERLOAD, SIX_AXIS_ERROR = 1, 2
 TYPE_MASK, FLOAT32 = 0x70, 0x30
 SERIAL_NUMBER, STOP, START, FIRMWARE = 0x1F, 0x23, 0x24, 0x2B
+MOST_SKIPPED = 1000  # frames of the other kind, while values or an answer are waited for
 _VALUES = struct.Struct(">6f")
 
 
@@ -138,11 +139,14 @@ class Gsv8Sensor:
         self._stream.close()
 
     def _measured(self, count: int) -> list[GsvFrame]:
-        parser, frames = GsvParser(), list[GsvFrame]()
+        parser, frames, skipped = GsvParser(), list[GsvFrame](), 0
         while len(frames) < count:
             missing = count - len(frames)
             came = self._stream.collect(parser, missing, missing / self._rate)
-            frames += [frame for frame in came if frame.values is not None]
+            frames += (values := [frame for frame in came if frame.values is not None])
+            skipped += len(came) - len(values)
+            if skipped > MOST_SKIPPED:
+                raise ProtocolError(self.name, f"{skipped} answers, but only {len(frames)} of {count} values")
         return frames
 
     def _raise_for_status(self, frames: Sequence[GsvFrame]) -> None:
@@ -175,7 +179,7 @@ class Gsv8Sensor:
             if frame.values is None:
                 break
             skipped += 1
-            if skipped > 1000:
+            if skipped > MOST_SKIPPED:
                 raise ProtocolError(self.name, f"command 0x{code:02X}: {skipped} values, but no answer")
         if frame.code != 0:
             raise InstrumentFault(self.name, f"refuses command 0x{code:02X} with code 0x{frame.code:02X}")

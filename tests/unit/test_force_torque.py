@@ -329,6 +329,14 @@ def test_a_gsv8_that_refuses_a_command_says_so(gsv: Gsv8Sensor, gsv_device: Simu
         gsv.read()
 
 
+def test_a_gsv8_that_goes_on_answering_and_says_no_values_is_not_waited_for_for_ever(
+    gsv: Gsv8Sensor, gsv_device: SimulatedGsv8
+) -> None:
+    gsv_device._frame = lambda wrench, time: bytes([0xAA, 0x50, 0x00, 0x85])  # type: ignore[method-assign]
+    with pytest.raises(ProtocolError, match="answers, but only 0 of 32 values"):
+        gsv.read()
+
+
 def spoil_gsv(device: SimulatedGsv8, every: int, wrench: Array) -> None:
     """Every so many frames carries another wrench, as after a flipped bit: nothing in the frame tells."""
     original, count = device._frame, iter(range(10_000))
