@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ppshw import __version__
-from ppshw.calibration import Calibration, load_calibration
+from ppshw.calibration import Calibration, content_digest, load_calibration
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
 from ppshw.identification import identify
@@ -51,6 +51,21 @@ def test_it_comes_back_as_it_was(made: Made) -> None:
     back.save(path.with_name("again.json"))
     assert path.with_name("again.json").read_bytes() == path.read_bytes()
     assert not list(path.parent.glob("*.part"))
+
+
+def test_noise_of_several_parts_comes_back_and_joints_alone_are_read_from_older_files(
+    made: Made, tmp_path: Path
+) -> None:
+    machine, _, calibration, _ = made
+    parts = np.linspace(1e-10, 2e-9, 6 * (1 + machine.n)).reshape(-1, 6)
+    path = tmp_path / "cal.json"
+    replace(calibration, noise=replace(calibration.noise, parts=parts)).save(path)
+    np.testing.assert_array_equal(load_calibration(path, machine).noise.parts, parts)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    del data["noise"]["end_effector"]
+    data["content_sha256"] = content_digest(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    np.testing.assert_array_equal(load_calibration(path, machine).noise.parts, np.vstack([np.zeros(6), parts[1:]]))
 
 
 def test_a_base_frame_that_nobody_located_is_a_doubt_about_setpoints(made: Made) -> None:
