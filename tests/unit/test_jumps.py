@@ -46,9 +46,9 @@ def _turned(clean: Workspace, k: int, angle: np.ndarray) -> Workspace:
 
 
 def _moved(clean: Workspace, by: np.ndarray) -> Workspace:
-    """With its reflectors moved by (N, T, 3) in the base [m]."""
+    """With its reflectors moved by (N, T, 3) in the base [m], noise known as it is once what moved them is."""
     points = clean.recording.points + by @ clean.base.measuring_in_base[:3, :3]
-    return prepare(clean.machine, replace(clean.recording, points=points), clean.fit)
+    return prepare(clean.machine, replace(clean.recording, points=points), clean.fit, clean.base)
 
 
 def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped: Workspace) -> None:
