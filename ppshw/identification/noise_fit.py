@@ -21,6 +21,7 @@ from ppshw.identification.noise import Noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+TURNING = np.repeat(np.eye(2), 3, axis=0)  # (6, 2) of six components: shifts, turns
 STEPS = 30
 # Of a step of the scoring, until the likelihood grows; and where it hardly does any more.
 SHARES = (1.0, 0.3, 0.1, 0.02)
@@ -84,7 +85,8 @@ class Form(Enum):
 def choose(moments: Moments, before: Noise, rank: int) -> tuple[Form, Noise]:
     """The form that the data speak for, every free number costing log n (Schwarz 1978), and its noise."""
     cost = float(np.log(max(moments.count.sum(), 2.0)))
-    found = {form: _fit(form, moments, before, rank) for form in Form}
+    even = _even(moments, before, rank)
+    found = {form: _fit(form, moments, before, even, rank) for form in Form}
     value = {form: moments.likelihood(noise) - cost * _free(form, noise, rank) for form, noise in found.items()}
     best = max(value, key=lambda form: value[form])
     return best, found[best] if found[best].parts is None else replace(found[best], pose=found[Form.TIP].pose)
@@ -92,25 +94,29 @@ def choose(moments: Moments, before: Noise, rank: int) -> tuple[Form, Noise]:
 
 def fit(form: Form, moments: Moments, before: Noise, rank: int) -> Noise:
     """The most likely noise of this form; where there are many variances, drawn a little towards few."""
-    found = _fit(form, moments, before, rank)
-    return found if found.parts is None else replace(found, pose=_fit(Form.TIP, moments, before, rank).pose)
+    even = _even(moments, before, rank)
+    found = _fit(form, moments, before, even, rank)
+    return found if found.parts is None else replace(found, pose=_fit(Form.TIP, moments, before, even, rank).pose)
 
 
-def _fit(form: Form, moments: Moments, before: Noise, rank: int) -> Noise:
-    """`fit`, but that `pose` says nothing where the noise is of several parts."""
-    turning = np.repeat(np.eye(2), 3, axis=0)  # (6, 2): shifts, turns
+def _even(moments: Moments, before: Noise, rank: int) -> Noise:
+    """The end effector scatters alike in all directions: one variance for shifts, one for turns, and the instrument."""
+    at_the_tip = TURNING[:, : rank // 3]
+    return fit_variances(moments, before, at_the_tip, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
+
+
+def _fit(form: Form, moments: Moments, before: Noise, even: Noise, rank: int) -> Noise:
+    """`fit`, beside the even noise, but that `pose` says nothing where the noise is of several parts."""
     if form is Form.JOINTS:
         joints = len(moments.own)
-        alike = _of_parts(moments, before, rank, np.vstack([np.zeros((6, 2)), np.tile(turning, (joints, 1))]))
-        each = block_diag(np.zeros((6, 0)), *[turning] * joints)
+        alike = _of_parts(moments, before, rank, np.vstack([np.zeros((6, 2)), np.tile(TURNING, (joints, 1))]))
+        each = block_diag(np.zeros((6, 0)), *[TURNING] * joints)
         return _of_parts(moments.with_prior(alike), alike, rank, each)
-    at_the_tip = turning[:, : rank // 3]
-    even = fit_variances(moments, before, at_the_tip, lambda v, sigma: Noise(np.diag(v), sigma), rank == 6)
     if form is Form.EVEN:
         return even
     if form is Form.TIP:
         return fit_pose(moments.with_prior(even), even, rank)
-    own = block_diag(at_the_tip, *(share[:, None] for share in moments.own))
+    own = block_diag(TURNING[:, : rank // 3], *(share[:, None] for share in moments.own))
     return _of_parts(moments.with_prior(even), even, rank, own)
 
 
