@@ -41,6 +41,7 @@ from ppshw.terms.geometric import Geometric
 from ppshw.terms.target import TargetOffset
 
 HERE = Path(__file__).parent
+MORE = 4
 ENVIRONMENTS = {
     "figaroh": ("figaroh==1.0.2", "pin==4.1.0"),
     "pybotics": ("pybotics==3.1.2", "robotkinecal==0.1.0"),
@@ -130,15 +131,26 @@ def per_pose(machine: Machine, q: np.ndarray, rounds: int) -> dict[str, list[flo
     return out
 
 
-def plausible(ours: dict[str, list[float]]) -> None:
-    """Each Jacobian contains the forward solution: one that took less says that something else was measured."""
-    forward = min(ours["forward"])
-    for key, name in (("joint_jacobian", "joint Jacobian"), ("error_jacobian", "error Jacobian")):
-        if min(ours[key]) < forward:
-            raise SystemExit(
-                f"{name} {number(min(ours[key]))} µs per pose, the forward solution in it {number(forward)}: "
-                "this cannot be, measure again"
-            )
+def plausible(measure: Callable[[], dict[str, list[float]]]) -> dict[str, list[float]]:
+    """What was measured. Each Jacobian contains the forward solution: one that took less says that something else was
+    measured, a neighbour on the machine for one. Rounds are added then, MORE times at most."""
+    ours = measure()
+    for _ in range(MORE):
+        if _faster(ours) is None:
+            return ours
+        ours = {key: rounds + ours[key] for key, rounds in measure().items()}
+    if (key := _faster(ours)) is not None:
+        raise SystemExit(
+            f"{key.replace('_', ' ')} {number(min(ours[key]))} µs per pose, the forward solution in it "
+            f"{number(min(ours['forward']))}: this cannot be, measure again"
+        )
+    return ours
+
+
+def _faster(ours: dict[str, list[float]]) -> str | None:
+    """A Jacobian that took less than the forward solution in it."""
+    jacobians = ("joint_jacobian", "error_jacobian")
+    return next((key for key in jacobians if min(ours[key]) < min(ours["forward"])), None)
 
 
 def kinematics(machine: Machine, poses: int, rounds: int, pythons: dict[str, Path]) -> str:
@@ -149,8 +161,7 @@ def kinematics(machine: Machine, poses: int, rounds: int, pythons: dict[str, Pat
     few = solutions(machine, q[:5])
     for peer, answer in answers.items():
         same_arm(peer, answer, few["forward"]()[:, 0], few["joint_jacobian"]()[:, 0])
-    ours = per_pose(machine, q, rounds)
-    plausible(ours)
+    ours = plausible(lambda: per_pose(machine, q, rounds))
     answers = {"ppshw": ours, **answers}
     rows = [
         [NAMES[who], *(span(a[k]) if k in a else "–" for k in ours), *(_ratio(a, ours, k) for k in ours)]
