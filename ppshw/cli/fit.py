@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.cli.answers import (
     EVALUATED_PER_S,
@@ -22,6 +26,12 @@ from ppshw.cli.answers import (
 from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
 
+if TYPE_CHECKING:
+    from ppshw.calibration import Calibration
+    from ppshw.identification.joint import Estimate
+    from ppshw.machine import Machine
+    from ppshw.recording import Recording
+
 FEW = 40  # visits
 MANY_ASIDE = 0.1  # share of the visits: single ones are not so many
 SAID = 3  # joints and loads outside what was identified; --json has all
@@ -32,61 +42,29 @@ def identify(a: argparse.Namespace) -> None:
     import time
 
     from ppshw.calibration import Calibration
-    from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
-    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
-    from ppshw.errors import IdentificationFailed
-    from ppshw.evaluation import figures, nominal_residuals, residuals
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
-    from ppshw.identification.own_weight import NOT_BENT
-    from ppshw.identification.plausible import apart_from_each_other, noisier_than_stated
-    from ppshw.identification.strengths import held_back
-    from ppshw.recording import listed, load_recording
-    from ppshw.terms.shapes import Context
+    from ppshw.recording import load_recording
 
     machine = machine_of(a)
     out = new_file(a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    warnings = doubts_about(machine, recording)
-    if (visits := int(recording.measured.sum())) < FEW:
-        warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
     with columns_named(machine, recording):
         with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
             estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
         ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
-        told = tuple(each.as_dict(machine) for each in ambiguous)
-        calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=told)
-        believed = recording.subset(believable(estimate.weights))
-        fit, ideal = figures(residuals(believed, calibration)), figures(nominal_residuals(believed, machine))
-        if fit["rms_mm"] > NO_BETTER * ideal["rms_mm"]:
-            raise IdentificationFailed(
-                f"{a.rec}: the fit leaves {fit['rms_mm']:.3f} mm rms where the ideal machine leaves "
-                f"{ideal['rms_mm']:.3f} mm: nothing was written"
-            )
-    looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
-    set_aside = np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))
-    if len(set_aside) > MANY_ASIDE * visits:
-        warnings.append(
-            f"{len(set_aside)} of {visits} visits are unlike the others, and were set aside: are all of one state of "
-            "the machine and the instrument?"
-        )
-        warnings += as_they_stand(plain_mistakes(machine, recording)[1])
-    warnings += [w for w in as_they_stand(looked(machine, believed)[1]) if w not in warnings]
-    known = Context.of(estimate.model, estimate.theta, believed, estimate.measuring_in_base)
-    if said := doubt_of_sensor(known):
-        warnings.append(said)
-    if doubt := noisier_than_stated(machine, fit["rms_mm"], "a residual"):
-        warnings.append(doubt)
-    if doubt := apart_from_each_other(machine, calibration.noise.instrument):
-        warnings.append(doubt)
-    warnings += held_back(estimate.model.parameters(), estimate.groups)
+        told = [each.as_dict(machine) for each in ambiguous]
+        calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=tuple(told))
+        fit = _figures_of_the_fit(a.rec, machine, recording.subset(believable(estimate.weights)), calibration)
+    warnings = _warnings(machine, recording, estimate, calibration, fit)
     calibration.save(out)
     warn(a.rec, warnings)
     spread = np.sqrt(np.diag(calibration.noise.pose))
+    set_aside = _set_aside(recording, estimate)
     answer = {
-        "visits": visits,
+        "visits": int(recording.measured.sum()),
         "readings": int(recording.seen.sum()),
         "parameters": len(calibration.theta),
         "method": a.method,
@@ -98,36 +76,100 @@ def identify(a: argparse.Namespace) -> None:
         "outliers": len(set_aside),
         "set_aside": [int(v) + 1 for v in set_aside],
         "warnings": warnings,
-        "ambiguous": list(told),
+        "ambiguous": told,
         "bent_by": calibration.machine.bent_by,
         "seconds": round(time.perf_counter() - began, 2),
         "out": str(a.out),
     }
-    text = (
-        f"{a.out}: {answer['parameters']} parameters from {answer['visits']} visits ({answer['readings']} readings) "
-        f"in {answer['seconds']:.1f} s\n"
-        f"  residual of the fit  {fit['rms_mm']:.3f} mm rms, {fit['p98_6_mm']:.3f} mm at 98.6 %\n"
-        f"  pose repeatability   {np.linalg.norm(spread[:3]) * 1e3:.3f} mm, "
-        f"{np.linalg.norm(spread[3:]) * 1e3:.3f} mrad (1 sigma, 3-D)\n"
-        f"  instrument           {calibration.noise.instrument * 1e3:.3f} mm per coordinate\n"
-        f"  visits set aside     {answer['outliers']}{': ' if len(set_aside) else ''}{listed(set_aside)}"
+    say(a, answer, folded(_identified(answer, summary(ambiguous))))
+
+
+def _set_aside(recording: Recording, estimate: Estimate) -> NDArray[np.int64]:
+    """Visits that were measured and that the fit does not believe, from 0."""
+    from ppshw.identification.joint import believable
+
+    return np.setdiff1d(np.flatnonzero(recording.measured), believable(estimate.weights))
+
+
+def _figures_of_the_fit(
+    name: Path, machine: Machine, believed: Recording, calibration: Calibration
+) -> dict[str, float]:
+    """Refused where the fit leaves more than the ideal machine does."""
+    from ppshw.errors import IdentificationFailed
+    from ppshw.evaluation import figures, nominal_residuals, residuals
+
+    fit = figures(residuals(believed, calibration))
+    ideal = figures(nominal_residuals(believed, machine))
+    if fit["rms_mm"] > NO_BETTER * ideal["rms_mm"]:
+        raise IdentificationFailed(
+            f"{name}: the fit leaves {fit['rms_mm']:.3f} mm rms where the ideal machine leaves "
+            f"{ideal['rms_mm']:.3f} mm: nothing was written"
+        )
+    return fit
+
+
+def _warnings(
+    machine: Machine, recording: Recording, estimate: Estimate, calibration: Calibration, fit: Mapping[str, float]
+) -> list[str]:
+    """What a recording and the fit to it give to ask about."""
+    from ppshw.diagnosis.columns import column_mistakes, plain_mistakes
+    from ppshw.diagnosis.sensor_words import doubt as doubt_of_sensor
+    from ppshw.identification.joint import believable
+    from ppshw.identification.plausible import apart_from_each_other, noisier_than_stated
+    from ppshw.identification.strengths import held_back
+    from ppshw.terms.shapes import Context
+
+    believed = recording.subset(believable(estimate.weights))
+    warnings = doubts_about(machine, recording)
+    visits, aside = int(recording.measured.sum()), len(_set_aside(recording, estimate))
+    if visits < FEW:
+        warnings.append(f"visits: {visits}, expected {FEW} or more to tell how a machine errs from how it repeats")
+    if aside > MANY_ASIDE * visits:
+        warnings.append(
+            f"{aside} of {visits} visits are unlike the others, and were set aside: are all of one state of "
+            "the machine and the instrument?"
+        )
+        warnings += as_they_stand(plain_mistakes(machine, recording)[1])
+    looked = column_mistakes if len(believed) >= FEW else plain_mistakes  # the moments' sign asks a fit to half of them
+    warnings += [w for w in as_they_stand(looked(machine, believed)[1]) if w not in warnings]
+    doubts = (
+        doubt_of_sensor(Context.of(estimate.model, estimate.theta, believed, estimate.measuring_in_base)),
+        noisier_than_stated(machine, fit["rms_mm"], "a residual"),
+        apart_from_each_other(machine, calibration.noise.instrument),
     )
-    if (how := NOT_BENT.get(calibration.machine.bent_by)) is not None:
-        text += f"\n  own weights          {how}"
-    if a.method != "paper":
-        text += f"\n  not told apart       {summary(ambiguous)}"
-    say(a, answer, folded(text.splitlines()))
+    warnings += [doubt for doubt in doubts if doubt]
+    return warnings + held_back(estimate.model.parameters(), estimate.groups)
+
+
+def _identified(answer: Mapping[str, Any], not_told_apart: str) -> list[str]:
+    """The answer in words."""
+    from ppshw.identification.own_weight import NOT_BENT
+    from ppshw.recording import listed
+
+    aside = [v - 1 for v in answer["set_aside"]]
+    lines = [
+        f"{answer['out']}: {answer['parameters']} parameters from {answer['visits']} visits "
+        f"({answer['readings']} readings) in {answer['seconds']:.1f} s",
+        f"  residual of the fit  {answer['fit']['rms_mm']:.3f} mm rms, {answer['fit']['p98_6_mm']:.3f} mm at 98.6 %",
+        f"  pose repeatability   {np.linalg.norm(answer['pose_sigma_mm']):.3f} mm, "
+        f"{np.linalg.norm(answer['pose_sigma_mrad']):.3f} mrad (1 sigma, 3-D)",
+        f"  instrument           {answer['instrument_sigma_mm']:.3f} mm per coordinate",
+        f"  visits set aside     {len(aside)}{': ' if aside else ''}{listed(aside)}",
+    ]
+    if (how := NOT_BENT.get(answer["bent_by"])) is not None:
+        lines.append(f"  own weights          {how}")
+    if answer["method"] != "paper":
+        lines.append(f"  not told apart       {not_told_apart}")
+    return lines
 
 
 def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.columns import plain_mistakes
-    from ppshw.diagnosis.wording import column_of
-    from ppshw.diagnosis.wording import listed as columns_listed
     from ppshw.evaluation import evaluate as run
     from ppshw.evaluation import residuals
     from ppshw.identification.plausible import refuse_another_machine
-    from ppshw.recording import listed, load_recording
+    from ppshw.recording import load_recording
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine) if a.calibration else None
@@ -139,7 +181,16 @@ def evaluate(a: argparse.Namespace) -> None:
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}
-    rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if calibration else [])
+    say(a, answer, folded(_evaluated(answer)))
+
+
+def _evaluated(answer: Mapping[str, Any]) -> list[str]:
+    """The answer in words."""
+    from ppshw.diagnosis.wording import column_of
+    from ppshw.diagnosis.wording import listed as columns_listed
+    from ppshw.recording import listed
+
+    rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if "identified_from_it" in answer else [])
     lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", FIGURE_HEAD]
     lines += [figure_row(name, values) for name, values in rows]
     if answer["far_off"]:
@@ -177,4 +228,4 @@ def evaluate(a: argparse.Namespace) -> None:
             f"corrected without a name over {over}, by which unsure to "
             f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data"
         )
-    say(a, answer, folded(lines))
+    return lines
