@@ -11,6 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,14 @@ from numpy.typing import NDArray
 from campaigns.operator import AutomaticOperator
 from campaigns.plan import plan_campaign
 from campaigns.runner import SetpointMap, run_campaign
-from campaigns.script import load_script
-from campaigns.site import load_site, open_bench
+from campaigns.script import LoadCase, load_script
+from campaigns.site import Site, load_site, open_bench
 from ppshw.calibration import Calibration
 from ppshw.compensation import Compensator, Corrections
 from ppshw.errors import BadInput
 from ppshw.evaluation import figures
 from ppshw.identification import identify
-from ppshw.machine import load_machine
+from ppshw.machine import Machine, load_machine
 from ppshw.recording import Around, Recording, load_recording
 from ppshw.recording_file import only_writer
 from ppshw.report import build_report
@@ -71,16 +72,10 @@ def run_demo(
         clock = SteppedClock()
         with SimulatedHardware(machine_copy, clock, out, seed=seed) as hardware:
             site = load_site(hardware.write_site(out / "site.yaml"))
-            operator = AutomaticOperator(lambda load: hardware.put_on(load.mass, load.com), "simulated")
+            bench = SimulatedSite(out, machine, site, hardware, clock, say)
 
             def measure(name: str, setpoint_map: SetpointMap | None = None, label: str = "as planned") -> Recording:
-                plan = plan_campaign(load_script(campaigns[name]), machine)
-                with open_bench(site, clock, hardware.ports) as bench:
-                    run_campaign(
-                        plan, bench, out / f"{name}.db", operator,
-                        setpoint_map=setpoint_map, map_label=label, progress=lambda p: say(name, p.done, p.total),
-                    )  # fmt: skip
-                return load_recording(out / f"{name}.db", machine)
+                return bench.measure(name, campaigns[name], setpoint_map, label)
 
             recording = measure("campaign")
             scatter = repeatability(measure("repeatability"), machine, POINT)
@@ -112,6 +107,41 @@ def run_demo(
         build_report(out)
         say("report", 1, 1)
         return answer
+
+
+@dataclass(frozen=True)
+class SimulatedSite:
+    """A machine on simulated hardware, whose campaigns are recorded in a folder.
+
+    load_changes_take_time  as the script says, without which creep would not show
+    """
+
+    out: Path
+    machine: Machine
+    site: Site
+    hardware: SimulatedHardware
+    clock: SteppedClock
+    say: Say
+    load_changes_take_time: bool = False
+
+    def measure(
+        self, name: str, script: str, setpoint_map: SetpointMap | None = None, label: str = "as planned"
+    ) -> Recording:
+        """Run a script's campaign through the drivers into the recording `name`."""
+        plan = plan_campaign(load_script(script), self.machine)
+        pause = plan.script.load_change_s / 2 if self.load_changes_take_time else 0.0
+
+        def put_on(load: LoadCase) -> None:
+            self.clock.sleep(pause)
+            self.hardware.put_on(load.mass, load.com)
+            self.clock.sleep(pause)
+
+        with open_bench(self.site, self.clock, self.hardware.ports) as bench:
+            run_campaign(
+                plan, bench, self.out / f"{name}.db", AutomaticOperator(put_on, "simulated"),
+                setpoint_map=setpoint_map, map_label=label, progress=lambda p: self.say(name, p.done, p.total),
+            )  # fmt: skip
+        return load_recording(self.out / f"{name}.db", self.machine)
 
 
 @contextmanager

@@ -18,14 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from campaigns.operator import AutomaticOperator
 from campaigns.plan import Plan, plan_campaign
-from campaigns.runner import SetpointMap, run_campaign
-from campaigns.script import LoadCase, load_script
-from campaigns.site import load_site, open_bench
+from campaigns.script import load_script
+from campaigns.site import load_site
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator, Corrections
-from ppshw.demo import POINT, as_wanted, fresh_folder
+from ppshw.demo import POINT, SimulatedSite, as_wanted, fresh_folder
 from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.wording import how_sure
@@ -35,7 +33,7 @@ from ppshw.identification import identify
 from ppshw.kinematics import point_positions
 from ppshw.machine import load_machine
 from ppshw.progress import folded
-from ppshw.recording import Recording, load_recording
+from ppshw.recording import Recording
 from ppshw.report.concealed import hidden, named, treated
 from ppshw.terms.effect import instrument_error
 from ppshw.verification import point_errors, wanted_joints
@@ -86,25 +84,8 @@ def run_concealed(
             (out / "seal.sha256").write_text(hardware.carried.seal + "\n", encoding="utf-8")
             announce(hardware.carried.seal)
             site = load_site(hardware.write_site(out / "site.yaml"))
-
-            def measure(
-                name: str, script: str, setpoint_map: SetpointMap | None = None, label: str = "as planned"
-            ) -> Recording:
-                plan = plan_campaign(load_script(campaigns[script]), machine)
-
-                def put_on(load: LoadCase) -> None:  # takes its time: creep would not show otherwise
-                    clock.sleep(plan.script.load_change_s / 2)
-                    hardware.put_on(load.mass, load.com)
-                    clock.sleep(plan.script.load_change_s / 2)
-
-                with open_bench(site, clock, hardware.ports) as bench:
-                    run_campaign(
-                        plan, bench, out / f"{name}.db", AutomaticOperator(put_on, "simulated"),
-                        setpoint_map=setpoint_map, map_label=label, progress=lambda p: say(name, p.done, p.total),
-                    )  # fmt: skip
-                return load_recording(out / f"{name}.db", machine)
-
-            recording = measure("diagnosis", "diagnosis")
+            bench = SimulatedSite(out, machine, site, hardware, clock, say, load_changes_take_time=True)
+            recording = bench.measure("diagnosis", campaigns["diagnosis"])
             base = Calibration.of(identify(machine, recording), recording, "joint")
             base.save(out / "calibration.json")
             began = time.perf_counter()
@@ -113,33 +94,19 @@ def run_concealed(
             write_text(out / "diagnosis.json", json.dumps(found.answer, indent=1))
             more = extended(found.space, found.found, found.answer["findings"])
             more.save(out / "extended.json")
-
-            label = file_hash(out / "calibration.json")
-            before = measure("verification_nominal", "verification", as_wanted, "nominal")
-            by_base = measure("verification_base", "verification", Corrections(Compensator(base, BOUNDS)), label)
-            corrected, label = Corrections(Compensator(more, BOUNDS), after=by_base), file_hash(out / "extended.json")
-            by_more = measure("verification_extended", "verification", corrected, label)
-            recordings = dict(zip(ROWS, (before, by_base, by_more), strict=True))
-            errors = {row: point_errors(r, machine, POINT) for row, r in recordings.items()}
+            recordings, corrected = _verified(bench, campaigns["verification"], base, more)
             (out / "truth.json").write_bytes(hardware.carried.truth)
-            truth = json.loads(hardware.carried.truth)
-        instrument = {row: _without_instrument(more, r, errors[row]) for row, r in recordings.items()}
         answer: dict[str, Any] = {
             "seal": hardware.carried.seal,
             "conceal": conceal,
             "seed": seed,
-            "verdict": found.answer["verdict"],
-            "findings": found.answer["findings"],
-            "unexplained": found.answer["unexplained"],
-            "held_out": found.answer["held_out"],
-            "truth": truth,
-            **_compared(truth, found.answer["findings"]),
-            **{row: figures(e) for row, e in errors.items()},
-            "instrument_corrected": {row: figures(e) for row, e in instrument.items() if e is not None},
+            **{key: found.answer[key] for key in ("verdict", "findings", "unexplained", "held_out")},
+            **_compared(json.loads(hardware.carried.truth), found.answer["findings"]),
+            **_at_the_point(recordings, more),
             "taken_out": corrected.as_dicts(True),
             "not_compensated": corrected.as_dicts(False),
             "visits": len(recording),
-            "verification_visits": len(before),
+            "verification_visits": len(recordings["nominal"]),
             "diagnose_seconds": round(diagnose_s, 1),
             "machine_hours": round(clock.now() / 3600, 1),
             "seconds": round(time.perf_counter() - started, 1),
@@ -154,12 +121,36 @@ def _hours(plan: Plan) -> float:
     return (summary.duration_s - plan.script.measure_s * summary.readings) / 3600.0
 
 
-def _compared(truth: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, bool | int | None]:
-    """named: a finding has the effect's name;  joint_right: and the right joint, None where it was not named;
-    false_findings: how many others there are."""
+def _verified(
+    bench: SimulatedSite, script: str, base: Calibration, more: Calibration
+) -> tuple[dict[str, Recording], Corrections]:
+    """Row → what the tracker measured with the setpoints of no calibration, the base one and the extended one; and how
+    the last one corrected."""
+    nominal = bench.measure("verification_nominal", script, as_wanted, "nominal")
+    label = file_hash(bench.out / "calibration.json")
+    by_base = bench.measure("verification_base", script, Corrections(Compensator(base, BOUNDS)), label)
+    corrected = Corrections(Compensator(more, BOUNDS), after=by_base)
+    by_more = bench.measure("verification_extended", script, corrected, file_hash(bench.out / "extended.json"))
+    return dict(zip(ROWS, (nominal, by_base, by_more), strict=True)), corrected
+
+
+def _at_the_point(recordings: Mapping[str, Recording], more: Calibration) -> dict[str, Any]:
+    """Figures of every row, and of readings corrected for what the instrument is found to err where it is."""
+    errors = {row: point_errors(r, more.machine, POINT) for row, r in recordings.items()}
+    instrument = {row: _without_instrument(more, r, errors[row]) for row, r in recordings.items()}
+    return {
+        **{row: figures(e) for row, e in errors.items()},
+        "instrument_corrected": {row: figures(e) for row, e in instrument.items() if e is not None},
+    }
+
+
+def _compared(truth: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """The truth, and  named: a finding has the effect's name;  joint_right: and the right joint, None where it was not
+    named;  false_findings: how many others there are."""
     mine = [f for f in findings if f["effect"] == truth["effect"]]
     joints = [truth["joint"], *truth["also"]]
     return {
+        "truth": truth,
         "named": bool(mine),
         "joint_right": any(f["joint"] in joints for f in mine) if mine else None,
         "false_findings": len(findings) - len(mine),
