@@ -51,8 +51,8 @@ EFFECTS = (
     "missing_compliance", "target_moved",
 )  # fmt: skip
 COUNTED = (1, 4, 7)  # recordings that are looked at name by name; every fifth is of a six-revolute arm, 4 among them
-DRAWS = 200
-ANYBODY = 6  # names per recording for which all other names are asked as well: that is slow
+DRAWS, SHORT_DRAWS = 200, 40
+ANYBODY, SHORT_ANYBODY = 6, 1  # names per recording for which all other names are asked as well: that is slow
 WITHIN = 0.1
 MUCH = 2e-3
 
@@ -126,15 +126,15 @@ def true_shares(clean: Workspace, roots: Array, fields: Array) -> Array:
     return np.asarray(1.0 - (along * cho_solve(cho_factor(gram), along)).sum(axis=0) / size)
 
 
-def identified_scores(tried: Tried, rng: np.random.Generator) -> Array:
-    """(DRAWS, K) scores of all columns when there is nothing but noise as it was identified."""
-    return tried.laid.of_noise(rng, DRAWS).T
+def identified_scores(tried: Tried, rng: np.random.Generator, draws: int) -> Array:
+    """(draws, K) scores of all columns when there is nothing but noise as it was identified."""
+    return tried.laid.of_noise(rng, draws).T
 
 
-def drawn_scores(tried: Tried, roots: Array, rng: np.random.Generator) -> Array:
+def drawn_scores(tried: Tried, roots: Array, rng: np.random.Generator, draws: int) -> Array:
     """The same when the noise is as the simulated machine draws it."""
     space = tried.space
-    noise = roots @ rng.standard_normal((*roots.shape[:2], DRAWS))
+    noise = roots @ rng.standard_normal((*roots.shape[:2], draws))
     return np.asarray(tried.laid.product(space.absorb(space.whiten(noise))).T, dtype=float)
 
 
@@ -168,6 +168,8 @@ class Counted:
     own: list[float]
     drawn: list[float]
     anyone: list[float]
+    draws: int = DRAWS
+    anybody: int = ANYBODY
     off: list[str] = field(default_factory=list)
     never: int = 0
     enough: float = 0.0
@@ -188,13 +190,13 @@ class Counted:
                 self.small.append((*sight.name, sight.share, sight.share / float(true)))
         asked = [s for s in found if s.visible]  # of others no size is said
         self.never += len(found) - len(asked)
-        noise = identified_scores(tried, rng)
+        noise = identified_scores(tried, rng, self.draws)
         self.own += detected(tried, asked, noise, enough)
         self.anyone += [
             anybody(tried, asked[k], noise, enough)
-            for k in rng.choice(len(asked), min(ANYBODY, len(asked)), replace=False)
+            for k in rng.choice(len(asked), min(self.anybody, len(asked)), replace=False)
         ]
-        self.drawn += detected(tried, asked, drawn_scores(tried, roots, rng), enough)
+        self.drawn += detected(tried, asked, drawn_scores(tried, roots, rng, self.draws), enough)
 
     def words(self) -> str:
         """Nothing where no recording was looked at name by name."""
@@ -210,8 +212,8 @@ class Counted:
         if len(rest):
             second += f" Of the {len(rest)} of which less is left: {_range(rest)}; within 10 %: {_within(rest)}."
         third = (
-            f"(b) Detections at the size said, {DRAWS} draws each, {len(self.own)} names (of {self.never} more the "
-            f"base model takes the typical form whole: no size is said). Evidence asked for: {self.enough:.2f}. "
+            f"(b) Detections at the size said, {self.draws} draws each, {len(self.own)} names (of {self.never} more "
+            f"the base model takes the typical form whole: no size is said). Evidence asked for: {self.enough:.2f}. "
         )
         for words, values in (
             ("By its own name, noise as identified", self.own),
@@ -233,7 +235,7 @@ def main() -> None:
     load, began = os.getloadavg(), time.process_time()
     cases, visits, seed, by_name = (1, 60, SHORT_SEED, (0,)) if a.short else (a.cases, 450, SEED, COUNTED)
     rows, shares, strengths = [], [], []
-    counted = Counted([], [], [], [], [])
+    counted = Counted([], [], [], [], [], *((SHORT_DRAWS, SHORT_ANYBODY) if a.short else ()))
     for k in range(cases):
         with tempfile.TemporaryDirectory() as folder:
             case = laid(Path(folder), k, visits, seed)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -184,12 +185,18 @@ def test_a_run_of_a_machine_with_two_joints_says_what_they_cannot_put_right(tmp_
 
 def calibrate(folder: Path, name: str, effects: tuple[Effect, ...] = ()) -> Path:
     """A calibration of the machine in the hall, written there; returns its machine file."""
+    found, start = identified(folder)
+    replace(found, effects=effects, reference={"start": start, "hours": 2.0}).save(folder / name)
+    return Path(found.machine.file)
+
+
+@cache
+def identified(folder: Path) -> tuple[Calibration, float]:
+    """A calibration of the machine in the hall, and when its recording begins; as often as it is asked for, once."""
     machine = load_machine(ROOT / "machines/pps.yaml")
     plant = Plant.from_file(machine.file, seed=1)
     recording = load_recording(simulate_recording_csv(plant, folder / "r.csv", 90), machine)
-    found = Calibration.of(identify(machine, recording), recording, "joint")
-    replace(found, effects=effects, reference={"start": float(recording.time[0]), "hours": 2.0}).save(folder / name)
-    return Path(machine.file)
+    return Calibration.of(identify(machine, recording), recording, "joint"), float(recording.time[0])
 
 
 def test_move_drives_to_the_corrected_setpoints_and_only_on_the_machine_that_stands_there(hall: Path) -> None:
