@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
+from ppshw.diagnosis.parameter_names import load_unit, shape_unit, told_of, unit_of
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -23,7 +23,6 @@ Entries = dict[str, dict[str, Any]]
 BY_CAUSE = frozenset({"target_moved", "cross_coupling"})
 OF_THE_JOINT = frozenset({"backlash", "friction_hysteresis", "zero_shift"})  # what a joint does along its own axis
 SAME_PERIOD = 0.05  # by which periods of one wave may differ, whose height changes along its joint's travel
-MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 
 
 def numbers_of(
@@ -44,13 +43,16 @@ def numbers_of(
         out = _drift(c, candidate, values, covariance)
     elif candidate.effect == "cross_coupling":
         height, its_std = _peak_to_valley(courses(c, candidate.columns), values, covariance)
-        out = {"peak_to_valley": _entry(abs(height), its_std, _unit(candidate.component))}
+        out = {"peak_to_valley": _entry(abs(height), its_std, unit_of(candidate.component))}
     elif candidate.effect == "wrench_error" and candidate.columns[0].args.get("time") == "cosine":
         out = _wandering(c, candidate, values, covariance)
     elif candidate.effect == "periodic_transmission":
         out = _wave(candidate, values, covariance)
     else:
-        out = _one_by_one(candidate, values, std)
+        out = {
+            told.name: _entry(v * told.factor, s * abs(told.factor), told.unit)
+            for told, v, s in zip(told_of(candidate), values, std, strict=True)
+        }
     if (middle := scale_holds_at(c, candidate)) is not None:
         per = "°C" if "place" in candidate.columns[1].args else f"unit of {candidate.covariate}"
         out["scale_holds_at"] = _entry(middle, None, per)
@@ -177,7 +179,7 @@ def _drift(c: Context, candidate: Candidate, values: Array, covariance: Array) -
         mine = [j for j, column in enumerate(candidate.columns) if column.component == k]
         there = courses(c, [candidate.columns[j] for j in mine])
         change, std = _peak_to_valley(there, values[mine], covariance[np.ix_(mine, mine)])
-        out[f"change_{COMPONENTS[k]}"] = _entry(change, std, _unit(COMPONENTS[k]))
+        out[f"change_{COMPONENTS[k]}"] = _entry(change, std, unit_of(COMPONENTS[k]))
     return out
 
 
@@ -189,7 +191,7 @@ def _wandering(c: Context, candidate: Candidate, values: Array, covariance: Arra
         waves = np.stack([clock(c, "cosine", candidate.columns[j].args["tau"]) for j in mine], axis=1)
         change, std = _peak_to_valley(waves, values[mine], covariance[np.ix_(mine, mine)])
         name = WRENCH_COMPONENTS[k]
-        out[f"{name}_zero_change"] = _entry(change, std, _load_unit(name))
+        out[f"{name}_zero_change"] = _entry(change, std, load_unit(name))
     return out
 
 
@@ -206,9 +208,8 @@ def _peak_to_valley(functions: Array, values: Array, covariance: Array) -> tuple
     return float(apart @ values), float(np.sqrt(max(apart @ covariance @ apart, 0.0)))
 
 
-# --- what is said one by one ----------------------------------------------------------------------------------------
 def _wave(candidate: Candidate, values: Array, covariance: Array) -> Entries:
-    unit = _unit(candidate.component)
+    unit = unit_of(candidate.component)
     amplitude = max(float(np.hypot(values[0], values[1])), 1e-30)
     along = values[:2] / amplitude
     across = np.array([-along[1], along[0]])
@@ -217,162 +218,3 @@ def _wave(candidate: Candidate, values: Array, covariance: Array) -> Entries:
         "amplitude": _entry(amplitude, spread[0], unit),
         "phase": _entry(np.arctan2(values[1], values[0]), spread[1] / amplitude, "rad"),
     }
-
-
-def _unit(component: str | None) -> str:
-    return "m" if (component or "").startswith("t") else "rad" if (component or "").startswith("r") else "1"
-
-
-def _one_by_one(candidate: Candidate, values: Array, std: Array) -> Entries:
-    unit = _unit(candidate.component)
-    names = [f"c{k + 1}" for k in range(len(values))]
-    factors = np.ones(len(values))
-    units = [unit] * len(values)
-    if candidate.effect == "backlash":
-        names[0], factors[0] = "gap", -2.0  # the axis stays half the gap behind on either side
-        names[1:], factors[1:] = ["drag", "wear"][: len(names) - 1], -2.0  # of the gap, at the ends of the travel
-        if rocks(candidate):
-            across = COMPONENTS[candidate.columns[-1].component]
-            names[1], units[1] = (f"sideways_{across}", "m") if across.startswith("t") else (f"rocking_{across}", "rad")
-            factors[1] = -2.0
-        if "pressed" in candidate.columns[-1].args:
-            names[1], factors[1] = MORE_BY_LOAD, -2.0
-    elif candidate.effect == "tracker_scale":
-        grows = ["place" in column.args or "name" in column.args for column in candidate.columns]
-        moves = [column.on == "frame" for column in candidate.columns]
-        kelvin = any("place" in column.args for column in candidate.columns)
-        per = "K" if kelvin else f"unit of {candidate.covariate}"
-        axes = iter("xyz")
-        names = [f"shift_{next(axes)}" if m else f"scale_per_{'K' if kelvin else 'unit'}" if g else "scale"
-                 for m, g in zip(moves, grows, strict=True)]  # fmt: skip
-        shifted = "m/K" if kelvin else f"m per standard deviation of {candidate.covariate}"
-        units = [shifted if m else f"1/{per}" if g else "1" for m, g in zip(moves, grows, strict=True)]
-    elif candidate.effect == "thermal_growth" and len(values) == len(COMPONENTS):
-        names = [f"{component}_per_kelvin" for component in COMPONENTS]
-        units = ["m/K" if component.startswith("t") else "rad/K" for component in COMPONENTS]
-    elif candidate.effect == "thermal_growth":
-        names = ["per_kelvin" + "_and_half_travel" * (c.function == "temperature_q") for c in candidate.columns]
-        if len(set(names)) < len(names):  # two thermometers
-            names = [f"{name}_{c.args['place']}" for name, c in zip(names, candidate.columns, strict=True)]
-        units = ["1/K" if candidate.component is None else f"{unit}/K"] * len(values)
-    elif candidate.effect == "friction_hysteresis":
-        names, factors = ["lag", MORE_BY_LOAD][: len(values)], -factors  # a joint that lags stays behind
-    elif candidate.effect == "zero_shift":
-        back = candidate.columns[-1].function == "settling"
-        names = ["step", "lost_again"] if back else [f"{word}step" for word in ORDINALS[: len(values)]]
-    elif candidate.effect == "target_moved":
-        whens = ORDINALS[: len(values) // 3]
-        names, units = [f"{word}d{axis}" for word in whens for axis in "xyz"], ["m"] * len(values)
-    elif candidate.effect == "moving_weight":
-        names, units = _weight(candidate, unit)
-    elif candidate.effect == "nonlinear_stiffness" and "load_width" in candidate.shape:
-        names = ["half_slack"]
-    elif candidate.effect in ("missing_compliance", "nonlinear_stiffness"):
-        names = [f"compliance{k + 1 if len(values) > 1 else ''}" for k in range(len(values))]
-        of_a_bearing = candidate.columns[0].function == "bearing"
-        units = [_per_load("rad" if of_a_bearing else unit, candidate.covariate)] * len(values)
-        if candidate.covariate == "load":  # in all directions, each by its own
-            ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
-            names = [f"compliance_{component}_by_{load}" for component, load in ways]
-            units = [_per_load(_unit(component), load) for component, load in ways]
-    elif candidate.columns[0].function == "weighed":
-        names, units = ["share_of_what_no_payload_weighs"], ["1"]
-    elif candidate.effect == "wrench_error":
-        names = [misread_name(column.args, again=len(values) > 1) for column in candidate.columns]
-        units = [misread_unit(column.args) for column in candidate.columns]
-    elif candidate.effect == "clearance":
-        names = ["half_gap", "half_difference"][: len(values)]
-    elif candidate.effect == "creep" and candidate.component is None and candidate.columns[0].function == "creeping":
-        ways = [(COMPONENTS[c.component], WRENCH_COMPONENTS[c.args["component"]]) for c in candidate.columns]
-        one = len({load for _, load in ways}) == 1
-        names, factors = [f"compliance_{comp}{'' if one else f'_by_{load}'}" for comp, load in ways], -factors
-        units = [_per_load(_unit(comp), load) for comp, load in ways]
-    elif candidate.effect == "creep":
-        load = WRENCH_COMPONENTS[candidate.columns[0].component]
-        whole = candidate.columns[0].function == "creep"  # a share of the deflection of a link, or of all of them
-        name, of = ("share", "1") if whole else ("compliance", _per_load(unit, load))
-        factors = factors if whole else -factors  # what is laid is what has not come yet
-        second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
-        names, units = [name, second][: len(values)], [of] * len(values)
-    return {
-        name: _entry(v * f, s * abs(f), u) for name, v, s, f, u in zip(names, values, std, factors, units, strict=True)
-    }
-
-
-def rocks(candidate: Candidate) -> str:
-    """About which axis a carriage rocks as it turns back, or along which it moves besides, for the sentence; empty
-    where it does not."""
-    across = [COMPONENTS[k.component] for k in candidate.columns if COMPONENTS[k.component] != candidate.component]
-    if not across:
-        return ""
-    return f" and {'rocks' if across[0].startswith('r') else 'moves sideways'} ({across[0]})"
-
-
-def misread_name(args: Mapping[str, Any], again: bool) -> str:
-    """Which channel is off, and with what it goes: its own reading or another's, time (once, or again and again), or a
-    temperature."""
-    of, source = args["component"], args.get("source", -1)
-    kelvin = f"_per_kelvin_{args['place']}_{args['tau']:g}_h" if "place" in args else ""
-    hourly = "_per_hour" * (args.get("time") == "linear")
-    if "turned" in args:
-        return f"turned_{'xyz'[args['turned']]}" + "_versine" * (args.get("times") == 2)
-    if of < 0:
-        return "gain" + (f"_of_{args['only']}" if "only" in args else kelvin or hourly)
-    name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
-    if args.get("bent"):
-        return f"{name}_{args['bent']}"
-    if args.get("time") == "step":
-        return f"{name}_zero_step" + f"_after_{args['tau']:.4f}_h" * again
-    return name + (kelvin or "_zero" * (source < 0) + hourly)
-
-
-def misread_unit(args: Mapping[str, Any]) -> str:
-    """Unit of what a force sensor reads too much: a load, per hour or kelvin; a share of a reading, per load where it
-    grows with it."""
-    of, source = args["component"], args.get("source", -1)
-    if "turned" in args:
-        return "1" if args.get("times") == 2 else "rad"
-    if "place" in args and (of < 0 or source == of):
-        return "1/K"
-    if of < 0:
-        return "1/h" if args.get("time") == "linear" else "1"
-    unit, by = _load_unit(WRENCH_COMPONENTS[of]), _load_unit(WRENCH_COMPONENTS[source])
-    if source < 0:
-        return f"{unit}/K" if "place" in args else f"{unit}/h" if args.get("time") == "linear" else unit
-    if args.get("bent") and args["bent"] != "sided":
-        return _per_load("1", WRENCH_COMPONENTS[source])
-    return "1" if unit == by else _per_load(unit, WRENCH_COMPONENTS[source])
-
-
-def _weight(candidate: Candidate, unit: str) -> tuple[list[str], list[str]]:
-    if candidate.columns[0].function == "own_bend":
-        return ["own_weight_share"], ["1"]
-    if candidate.joint is None:
-        return [f"compliance_{COMPONENTS[column.component]}" for column in candidate.columns], ["rad/(N m)"] * len(
-            candidate.columns
-        )
-    if candidate.columns[0].function != "body_weight":
-        return ["compliance"], [f"{unit}/(N m)"]
-    names, units = [], []
-    for args in (column.args for column in candidate.columns):
-        mass, grows = args["what"] == "mass", args.get("grows", 0)
-        name = "mass" if mass else f"shifted_mass_{args['what']}"
-        names.append(name + ("", "_with_travel", "_with_travel_squared")[grows])
-        units.append("kg" if mass else "kg m")
-    return names, units
-
-
-def shape_unit(c: Context, name: str, candidate: Candidate) -> str:
-    if name.endswith(("load_width", "knee_load", "falls_at")):
-        return _load_unit(candidate.covariate)
-    if name in ("width", "past", "period", "at"):  # of the joint's own way, whichever component errs
-        return c.machine.joints[c.machine.joint_names.index(str(candidate.joint))].unit
-    return "h" if name.endswith("_h") else "1"
-
-
-def _load_unit(covariate: str) -> str:
-    return "N" if covariate.startswith("F") else "N m"
-
-
-def _per_load(unit: str, covariate: str) -> str:
-    return f"{unit}/N" if covariate.startswith("F") else f"{unit}/(N m)"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, weigh
-from ppshw.diagnosis.parameters import misread_name, misread_unit
+from ppshw.diagnosis.parameter_names import misread_name, misread_unit
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import enumerated
 from ppshw.terms.shapes import Column, Context

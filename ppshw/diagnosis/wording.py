@@ -17,7 +17,8 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.nameless.rival import most_alike
-from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, rocks, scale_holds_at, shape_unit
+from ppshw.diagnosis.parameter_names import rocks, shape_unit
+from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, scale_holds_at
 from ppshw.diagnosis.sensor_words import against_gravity, turned
 from ppshw.diagnosis.visibility import NEVER, TOLD_APART, Alias, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
