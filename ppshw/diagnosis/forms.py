@@ -16,7 +16,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.by_position import of_two
 from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
 from ppshw.diagnosis.library.lost_motion import winds_up
-from ppshw.diagnosis.library.sampled import LAGS_H, presses
+from ppshw.diagnosis.library.sampled import LAGS_H, presses, tilts
 from ppshw.terms.shapes import Column, Context
 
 # Whose own form a column is that accompanies another's: where a class is left out, so are they.
@@ -62,6 +62,8 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     past = {key: value for key, value in k.columns[0].args.items() if key == "past"}
     slips = [_on(k, "slipping", joint=joint, width=float(way), **past) for way in ways]
     slips += [_on(k, "winding", joint=joint, way=float(way), **past) for way in ways]
+    # of each way to lose, by its own function: what a moment upon the joint adds
+    slips += [_on(k, first.function, **first.args, tilted=by) for first in k.columns[:1] for by in tilts(c, joint)]
     tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
     return [*slips, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]
 

@@ -9,7 +9,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes import Context
+from ppshw.terms.shapes import Column, Context
 
 MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 
@@ -38,8 +38,8 @@ def _backlash(candidate: Candidate) -> list[Told]:
     if rocks(candidate):
         across = COMPONENTS[last.component]
         names[1] = (f"sideways_{across}", "m") if across.startswith("t") else (f"rocking_{across}", "rad")
-    if "pressed" in last.args:
-        names[1] = (MORE_BY_LOAD, unit)
+    if more := _by_its_load(last, unit):
+        names[1] = more
     return [Told(name, its, -2.0) for name, its in names]  # the axis stays half the gap behind on either side
 
 
@@ -53,8 +53,17 @@ def rocks(candidate: Candidate) -> str:
 
 
 def _friction(candidate: Candidate) -> list[Told]:
-    unit = unit_of(candidate.component)  # a joint that lags stays behind
-    return [Told(name, unit, -1.0) for name in ("lag", MORE_BY_LOAD)[: len(candidate.columns)]]
+    unit = unit_of(candidate.component)
+    more = [_by_its_load(column, unit) for column in candidate.columns[1:]]
+    return [Told(*said, -1.0) for said in (("lag", unit), *more) if said]  # a joint that lags stays behind
+
+
+def _by_its_load(column: Column, unit: str) -> tuple[str, str] | None:
+    """Name and unit of what goes with the loads upon a joint of what it loses."""
+    if "tilted" in column.args:
+        load = WRENCH_COMPONENTS[column.args["tilted"]]
+        return f"added_by_{load}", per_load(unit, load)
+    return (MORE_BY_LOAD, unit) if "pressed" in column.args else None
 
 
 def _jump(candidate: Candidate) -> list[Told]:

@@ -162,9 +162,13 @@ def _differs_in_shape_alone(mine: Candidate, other: Candidate) -> bool:
     return (
         (mine.frame, mine.component, mine.covariate) == (other.frame, other.component, other.covariate)
         and mine.shape.keys() == other.shape.keys()
-        and [k.function for k in mine.columns] == [k.function for k in other.columns]
-        and [k.args.get("form") for k in mine.columns] == [k.args.get("form") for k in other.columns]
+        and [_kind(k) for k in mine.columns] == [_kind(k) for k in other.columns]
     )
+
+
+def _kind(column: Column) -> tuple[str, dict[str, Any]]:
+    """What a column is but for numbers that stand on a grid: its function, and by which load, channel, place, …"""
+    return column.function, {name: value for name, value in column.args.items() if not isinstance(value, float)}
 
 
 def _entry(value: float, std: float | None, unit: str) -> dict[str, Any]:

@@ -238,7 +238,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         size += f", of which a base calibration leaves {beyond * 1e3:.3f} mm"
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
-    amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_pressed(candidate, values, unit)}"
+    amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_by_its_load(candidate, values, unit)}"
     ahead = ", which lags: is a sign turned?" if _runs_ahead(c, candidate, values) else ""
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
@@ -399,10 +399,15 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
 
 
-def _pressed(candidate: Candidate, values: Array, unit: str) -> str:
-    """What lost motion is under twice the mean load, where it goes with the load: taken up, or pressed into more."""
-    more = [v for v, column in zip(values, candidate.columns, strict=True) if "pressed" in column.args]
-    return f" ({2 * abs(values[0] + more[0]) * 1e3:.3f} {unit} at twice its mean load)" if more else ""
+def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:
+    """What lost motion is under another load, where it goes with the load: taken up, or pressed into more."""
+    last, more = candidate.columns[-1], values[-1]
+    if "pressed" in last.args:
+        return f" ({2 * abs(values[0] + more) * 1e3:.3f} {unit} at twice its mean load)"
+    if "tilted" in last.args:
+        way, load = "more" if more * values[0] > 0 else "less", WRENCH_COMPONENTS[last.args["tilted"]]
+        return f" ({2 * abs(more) * 1e5:.3f} {unit} {way} per 100 N m of {load} upon it)"
+    return ""
 
 
 def _hose(candidate: Candidate) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component, presses
+from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component, presses, tilts
 from ppshw.recording import STANDSTILL
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -44,9 +44,8 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
         worn = Column("frame", "approach_q", {"joint": k, "power": 2}, k + 1, own)
         for columns, share in (((sign,), 1.0), ((sign, drag), 0.1), ((sign, drag, worn), 0.1)):
             yield Candidate(*where, columns, share=share)
-        for by in presses(c, k):  # a gap that the load takes up
-            taken = Column("frame", "approach", {"joint": k, "pressed": by}, k + 1, own)
-            yield Candidate(*where, (sign, taken), share=0.05)
+        for taken, share in _by_its_load(c, k, sign):  # a gap that the load takes up
+            yield Candidate(*where, (sign, taken), share=share)
         for comp in range(6):
             if comp != own:  # a carriage that rocks as it turns back
                 rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)
@@ -65,9 +64,16 @@ def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
         for width, column in _taken_up(c, k, parts):
             for lag, shape, share in _went_past(c, k, column):
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
-                for by in presses(c, k):
-                    more = replace(lag, args={**lag.args, "pressed": by})
-                    yield Candidate(*where, (lag, more), {"width": width, **shape}, 0.05 * share)
+                for more, part in _by_its_load(c, k, lag):
+                    yield Candidate(*where, (lag, more), {"width": width, **shape}, part * share)
+
+
+def _by_its_load(c: Context, k: int, lost: Column) -> Iterator[tuple[Column, float]]:
+    """What goes with the loads upon a joint of what it loses, and the share of such a form."""
+    for by in presses(c, k):
+        yield replace(lost, args={**lost.args, "pressed": by}), 0.05
+    for by in tilts(c, k):
+        yield replace(lost, args={**lost.args, "tilted": by}), 0.02
 
 
 def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool:

@@ -57,6 +57,11 @@ def presses(c: Context, k: int) -> list[int]:
     return [*out, own] if own in loads_on(c, k + 1) else out
 
 
+def tilts(c: Context, k: int) -> list[int]:
+    """By which moments upon it that really vary what joint k loses may go one way or the other."""
+    return [load for load in loads_on(c, k + 1) if load >= 3]
+
+
 def elastic_frames(c: Context) -> Iterator[tuple[int, str, list[int]]]:
     """Frames of links that the machine file lets bend, their joints, and the loads that bend them and vary there."""
     for k, joint in enumerate(c.machine.joints):

@@ -19,10 +19,10 @@ from ppshw.terms.shapes.covariates import bump, covariate, named_column
 Array = NDArray[np.float64]
 
 
-def approach(c: Context, joint: int, pressed: int | None = None) -> Array:
-    """The side a joint came from; with `pressed` what is more of it where the joint is loaded more than on average."""
-    side = c.recording.approach[:, joint].astype(float)
-    return side if pressed is None else side * _pressed(c, joint, pressed)
+def approach(c: Context, joint: int, pressed: int | None = None, tilted: int | None = None) -> Array:
+    """The side a joint came from; with `pressed` what is more of it where the joint is loaded more than on average,
+    with `tilted` per newton metre of a moment upon it (3 to 5)."""
+    return np.asarray(c.recording.approach[:, joint] * _by_its_load(c, joint, pressed, tilted), dtype=float)
 
 
 def approach_q(c: Context, joint: int, power: int = 1) -> Array:
@@ -45,17 +45,28 @@ def turning(c: Context, joint: int, knot: int, count: int) -> Array:
     return approach(c, joint) * bump(at, knot, count)
 
 
-def slipping(c: Context, joint: int, width: float, pressed: int | None = None, past: float = math.inf) -> Array:
-    """Evenly taken up; with `pressed` what is more of it where the joint is loaded more than on average; `past` how far
-    it went past where it came to from the other side."""
+def slipping(
+    c: Context, joint: int, width: float, pressed: int | None = None, past: float = math.inf, tilted: int | None = None
+) -> Array:
+    """Evenly taken up; `pressed` and `tilted` as in `approach`; `past` how far it went past where it came to from the
+    other side."""
     lag = slip(c.recording.q[:, joint], c.recording.approach[:, joint], width, past)
-    return lag if pressed is None else lag * _pressed(c, joint, pressed)
+    return lag * _by_its_load(c, joint, pressed, tilted)
 
 
-def winding(c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf) -> Array:
-    """Ever more slowly; `pressed` and `past` as in `slipping`."""
+def winding(
+    c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf, tilted: int | None = None
+) -> Array:
+    """Ever more slowly; `pressed`, `past` and `tilted` as in `slipping`."""
     lag = wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way, past)
-    return lag if pressed is None else lag * _pressed(c, joint, pressed)
+    return lag * _by_its_load(c, joint, pressed, tilted)
+
+
+def _by_its_load(c: Context, joint: int, pressed: int | None, tilted: int | None) -> Array | float:
+    if tilted is not None:  # one way it presses together what the other way it lifts off
+        moment = c.wrenches[:, joint + 1, tilted]
+        return np.asarray(moment - c.frozen(f"tilted.{joint}.{tilted}", float(moment.mean())))
+    return 1.0 if pressed is None else _pressed(c, joint, pressed)
 
 
 def _pressed(c: Context, joint: int, component: int) -> Array:
@@ -76,7 +87,7 @@ def wave(c: Context, joint: int, period: float, phase: str, pressed: int | None 
     """With `pressed` what is more of it where the joint is loaded more than on average, as of teeth that give way."""
     angle = 2 * np.pi * c.recording.q[:, joint] / period
     whole = np.sin(angle) if phase == "sin" else np.cos(angle)
-    return np.asarray(whole if pressed is None else whole * _pressed(c, joint, pressed))
+    return np.asarray(whole * _by_its_load(c, joint, pressed, None))
 
 
 def wave_q(c: Context, joint: int, period: float, phase: str, by: int) -> Array:

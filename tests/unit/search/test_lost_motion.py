@@ -16,6 +16,7 @@ from ppshw.diagnosis.search import search
 from ppshw.diagnosis.weights import MAY_BE, OUTSIDE, as_well
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size, on_joint, travel_of
@@ -98,6 +99,26 @@ def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) ->
     assert list(said)[:2] == ["lag", "added_at_twice_the_load"]
     ratio = said["added_at_twice_the_load"]["value"] / said["lag"]["value"]
     assert ratio == pytest.approx(1.0, abs=0.3)
+
+
+def test_friction_that_a_moment_presses_together_one_way_and_lifts_off_the_other_is_friction(space: Workspace) -> None:
+    """Another author's 42003, whose loss goes with a moment across its rail, was structure over both."""
+    k, way = space.machine.joint_names.index(NAME), 0.02 * travel_of(space)
+    across = [load for load in (3, 4, 5) if load != own_component(space.context, k)]
+    by = max(across, key=lambda load: space.context.wrenches[:, k + 1, load].std())
+    moment = space.context.wrenches[:, k + 1, by]
+    size = 0.55 + 0.45 * np.tanh((moment - moment.mean()) / moment.std())
+    moved = of_size(space, on_joint(space, "winding", way=way).evaluate(space.context) * size[:, None], 4)
+    there = replace(space, data=space.data - moved)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("friction_hysteresis", NAME)]
+    said = finding(there, tried, found[0])
+    load = WRENCH_COMPONENTS[by]
+    added = said["parameters"][f"added_by_{load}"]
+    assert added["unit"] in ("m/(N m)", "rad/(N m)")
+    assert added["value"] * moment.std() / said["parameters"]["lag"]["value"] == pytest.approx(0.6, abs=0.25)
+    assert added["std"] < 0.1 * abs(added["value"])  # lags that go with other loads are no kin of it
+    assert f"more per 100 N m of {load} upon it" in said["sentence"]
 
 
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
