@@ -18,7 +18,7 @@ from ppshw.identification.structure import joint_model
 from ppshw.machine import RADIUS_986, Machine
 from ppshw.model import Model
 from ppshw.recording import Recording
-from ppshw.terms import Parameter, Situation
+from ppshw.terms import Parameter, Situation, parts_of
 
 Array = NDArray[np.float64]
 # Typical prior standard deviations, as factors on where the estimate starts its search (which is wide on purpose). Our
@@ -97,7 +97,7 @@ def poses_only(machine: Machine, q: Array) -> Recording:
 
 
 def _typical_strength(p: Parameter) -> float:
-    kind, *rest = p.group.split(".")
+    kind, *rest = parts_of(p.group)
     factor = 1.0
     if kind == "geometric":
         factor = GEOMETRIC.get(rest[-1], SHORT_WAVES)

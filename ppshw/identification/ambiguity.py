@@ -248,12 +248,10 @@ NAME = re.compile(r"(?P<frame>.+)\.(?:(?P<component>[tr][xyz])|C\[(?P<a>\w+),(?P
 
 def _spoken(name: str, ground: str) -> str:
     """`vertical.ty[0]` → ty of frame vertical."""
-    if name.startswith("target."):
-        _, target, axis = name.split(".")
-        return f"{axis} of target {target}"
     match = NAME.fullmatch(name)
     if match is None:
-        return name
+        target, _, axis = name.removeprefix("target.").rpartition(".")
+        return f"{axis} of target {target}" if name.startswith("target.") else name
     what = match["component"] or f"{match['a']} per {match['b']}"
     which = int(match["index"])
     change = "" if which == 0 else "the slope of " if match["component"] else "how its position changes "

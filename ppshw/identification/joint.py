@@ -26,7 +26,7 @@ from ppshw.identification.strengths import Groups, Posterior, learn, silent
 from ppshw.identification.visits import Linearisation
 from ppshw.model import Model
 from ppshw.recording import Recording
-from ppshw.terms import Situation
+from ppshw.terms import Situation, parts_of
 from ppshw.transforms import from_xyz_rpy
 
 Array = NDArray[np.float64]
@@ -188,7 +188,8 @@ def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask
 
 def lines(model: Model) -> Mask:
     """(p,) constants, slopes, compliances, targets: what a first solution needs."""
-    return np.array([".band" not in p.group and not p.group.startswith("own.") for p in model.parameters()])
+    groups = [parts_of(p.group) for p in model.parameters()]
+    return np.array([parts[0] != "own" and not parts[-1].startswith("band") for parts in groups])
 
 
 def believable(weights: Array) -> Index:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from ppshw.errors import IdentificationFailed
-from ppshw.terms import Parameter
+from ppshw.terms import Parameter, parts_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -98,7 +98,7 @@ def held_back(parameters: Sequence[Parameter], strengths: Mapping[str, float]) -
 
 def _spoken(group: str) -> str:
     """compliance.w3.rM.rz,Mz.line → the compliance rz per Mz of frame w3; geometric.w3.t.line → shifts of frame w3"""
-    match group.split("."):
+    match parts_of(group):
         case ["compliance", frame, _, element, _]:
             return f"the compliance {element.replace(',', ' per ')} of frame {frame}"
         case ["geometric", frame, kind, band]:
@@ -115,10 +115,10 @@ def _size(value: float, unit: str) -> str:
 
 def _kind(group: str) -> str:
     """The name without the joint's and the element's; bands of a joint's own fine motion are all of one kind."""
-    first, _, *rest = group.split(".") if "." in group else [group, ""]
-    if first == "compliance":
-        rest = [rest[0], rest[-1]]
-    return first if first == "own" else ".".join([first, *rest])
+    kind, *rest = parts_of(group)
+    if kind == "own":
+        return kind
+    return ".".join([kind, *([rest[1], rest[-1]] if kind == "compliance" else rest[1:])])
 
 
 @dataclass(frozen=True)

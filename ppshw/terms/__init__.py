@@ -18,6 +18,8 @@ from ppshw.recording import Recording
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 COMPONENTS = ("tx", "ty", "tz", "rx", "ry", "rz")
+# How many parts the groups' names of each kind of term have behind the frame's own name.
+BEHIND_FRAME = {"geometric": 2, "compliance": 3, "own": 1, "tilt": 2}
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,13 @@ class Parameter:
     group: str
     scale: float
     start: float
+
+
+def parts_of(group: str) -> list[str]:
+    """A group's name taken apart: geometric.w3.t.line → its kind, the frame, t, line. A frame's own name may hold
+    dots."""
+    kind, dot, rest = group.partition(".")
+    return [kind, *rest.rsplit(".", BEHIND_FRAME.get(kind, 0))] if dot else [group]
 
 
 class FrameTerm(Protocol):

@@ -11,7 +11,8 @@ import pytest
 
 from ppshw.cli import main
 from ppshw.identification.ambiguity import Ambiguity, _load_words, ambiguities
-from ppshw.identification.joint import estimate
+from ppshw.identification.joint import estimate, lines
+from ppshw.identification.strengths import Groups
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
@@ -107,3 +108,19 @@ def test_the_command_says_it_in_words_in_json_and_in_the_calibration(
     with_visit = [a for a in answer if a["visit"]]
     assert with_visit
     assert set(with_visit[0]["visit"]["pose"]) == {"lateral", "vertical", "longitudinal", "yaw", "roll", "pitch"}
+
+
+def test_a_joint_may_be_called_target_and_names_may_hold_dots() -> None:
+    assert Ambiguity("target.tx[0]", (), 1.0, None).sentence.startswith("tx of frame target, ")
+    assert Ambiguity("target.P.1.x", (), 1.0, None).sentence.startswith("x of target P.1, ")
+
+
+def test_what_a_joint_is_called_changes_nothing(recorded: tuple[Machine, Recording]) -> None:
+    machine, recording = recorded
+    names = {"lateral": "band", "vertical": "w.3"}
+    joints = tuple(replace(j, name=names.get(j.name, j.name)) for j in machine.joints)
+    called = replace(machine, joints=joints)
+    other = joint_model(called, recording, waves=4)
+    model = joint_model(machine, recording, waves=4)
+    assert lines(other).tolist() == lines(model).tolist()
+    assert Groups.among(other.parameters()).kind.tolist() == Groups.among(model.parameters()).kind.tolist()
