@@ -160,8 +160,9 @@ def residual_course(time: Array, size_mm: Array, outlier: NDArray[np.bool_], los
             f"largest {largest:.3f} mm, {int(outlier.sum())} marked as outliers, {int(lost.sum())} with a target lost."
         )
         note = (
-            "Measured minus modelled, of the very visits that the model was fitted to. An outlier lies beyond the "
-            "99.9 % bound of what noise and model uncertainty allow: by chance one visit in a thousand."
+            "Measured minus modelled, of the very visits that the model was fitted to. An outlier’s square is more "
+            "than twice the 99.9 % bound of what noise and model uncertainty allow: by chance less than one visit in a "
+            "million."
         )
         return c.picture("Residual of the identification recording, visit by visit", alt, note)
 

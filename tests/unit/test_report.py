@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import hashlib
 import json
 import re
 import shutil
@@ -16,11 +17,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ppshw.calibration import Calibration, content_digest
+from ppshw.compensation import Bounds
 from ppshw.compensation.inverse import solve_pose
 from ppshw.errors import BadInput, RecordingError, ReportError
-from ppshw.identification.joint import estimate
+from ppshw.identification.joint import BELIEVED, SET_ASIDE, estimate
 from ppshw.identification.structure import joint_model
 from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine, load_machine
@@ -359,6 +362,17 @@ def test_hashes_of_the_files_are_on_the_page(made: Path) -> None:
         assert source.sha256 in words
     assert "2026-03-05 12:00 UTC" in words
     assert "<b>c" in words  # what a file says is text, never markup
+    assert hashlib.sha256((made / "calibration.json").read_bytes()).hexdigest() in words
+    assert hashlib.sha256((made / "machine.yaml").read_bytes()).hexdigest() not in words
+    assert "of the machine file: of what it says" in words
+
+
+def test_what_the_page_says_of_outliers_and_of_setpoints_outside_is_what_is_done(made: Path) -> None:
+    words = (made / "report.html").read_text(encoding="utf-8")
+    assert "less than one visit in a million" in words
+    assert chi2.sf(chi2.ppf(BELIEVED, 3) / SET_ASIDE, 3) < 1e-6  # of one reflector; less of more
+    assert (Bounds().joints, Bounds().loads) == (1 / 20, 1 / 10)
+    assert "a twentieth of a joint’s and a tenth of a load’s" in words
 
 
 def test_the_same_folder_gives_the_same_page(copy: Path) -> None:
