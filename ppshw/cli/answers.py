@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ppshw.errors import BadInput, IdentificationFailed, RecordingError
 from ppshw.recording_file import is_sqlite
@@ -38,16 +40,18 @@ def warn(source: str, warnings: Sequence[str]) -> None:
         print(f"warning: {source}: {warning}", file=sys.stderr)
 
 
-def doubts_about(machine: Any, recording: Any, left: Callable[[Any], Any] | None = None) -> list[str]:
+def doubts_about(machine: Any, recording: Any, calibration: Any = None, refit_base: bool = False) -> list[str]:
     """What is odd about a recording before anything is fitted to it, each in a line.
 
-    left  where there is a calibration what it leaves of a recording, (N, T, 3) [m]
+    calibration  of which it is another recording, if there is one;  refit_base as of `evaluation.residuals`
     """
     from ppshw.diagnosis.columns import doubts_of_gravity, doubts_of_moments
-    from ppshw.evaluation import by_visit
-    from ppshw.identification.plausible import doubts
+    from ppshw.evaluation import by_visit, residuals
+    from ppshw.identification.plausible import LOADED_NM, doubts
 
-    of_moments = [] if left is None else doubts_of_moments(recording, lambda r: by_visit(left(r)))
+    of_moments = []
+    if calibration is not None and np.abs(calibration.payload_range[3:]).max() > LOADED_NM:  # else they had no sign
+        of_moments = doubts_of_moments(recording, lambda r: by_visit(residuals(r, calibration, refit_base)))
     return doubts(machine, recording) + doubts_of_gravity(machine, recording) + of_moments
 
 

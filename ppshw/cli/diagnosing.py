@@ -171,7 +171,7 @@ def twin(a: argparse.Namespace) -> None:
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
     recorded = figures(residuals(recording, calibration))
-    warnings = doubts_about(machine, recording, lambda r: residuals(r, calibration))
+    warnings = doubts_about(machine, recording, calibration)
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))

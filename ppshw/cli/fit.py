@@ -167,7 +167,6 @@ def evaluate(a: argparse.Namespace) -> None:
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import evaluate as run
-    from ppshw.evaluation import residuals
     from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import load_recording
 
@@ -176,8 +175,8 @@ def evaluate(a: argparse.Namespace) -> None:
     recording = load_recording(a.rec, machine)
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
-    left = None if calibration is None else lambda r: residuals(r, calibration, a.refit_base)
-    warnings = doubts_about(machine, recording, left) + as_they_stand(plain_mistakes(machine, recording)[1])
+    warnings = doubts_about(machine, recording, calibration, a.refit_base)
+    warnings += as_they_stand(plain_mistakes(machine, recording)[1])
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("evaluate", len(recording) / EVALUATED_PER_S):
         answer = {**run(recording, machine, calibration, refit_base=a.refit_base), "warnings": warnings}

@@ -332,6 +332,17 @@ def test_evaluate_and_twin_warn_of_moments_of_the_other_sign_than_the_calibratio
                                   "calibration was made from: it leaves ")  # fmt: skip
 
 
+def test_moments_have_no_other_sign_than_those_of_a_recording_without_any(desk: Path) -> None:
+    content = json.loads((desk / "cal.json").read_text())
+    content["valid"]["payload"] |= {name: [0.0, 0.0] for name in ("Mx", "My", "Mz")}
+    content["content_sha256"] = content_digest(content)
+    (desk / "none.json").write_text(json.dumps(content))
+    times(-1.0, "Mx", "My", "Mz")(desk / "good.csv")
+    given = ["--machine", desk / "machine.yaml", "--calibration", desk / "none.json", "--json"]
+    for words in (["evaluate", desk / "good.csv"], ["twin", desk / "good.csv", "--out", desk / "twin.csv"]):
+        assert json.loads(ppshw(*words, *given).out)["warnings"] == []
+
+
 @pytest.mark.parametrize("command", ["evaluate", "twin"])
 def test_a_recording_of_another_point_alone_is_none_to_judge_a_calibration_by(desk: Path, command: str) -> None:
     header, *rows = (line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines())
