@@ -63,9 +63,10 @@ def rotation_about(axis: Array, angle: Array) -> Array:
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """The rotation vector (axis × angle) of (..., 3, 3), angle in [0, π).   [rad]
+    """The rotation vector (axis × angle) of (..., 3, 3), angle in [0, π].   [rad]
 
-    Exact for small angles too: sin and cos of the angle are taken from the antisymmetric part and the trace.
+    Exact for small angles too: sin and cos of the angle are taken from the antisymmetric part and the trace. At half a
+    turn, where the former is nothing, (R + Rᵀ)/2 = 2 k kᵀ − 1 has the axis, whose sign is open there.
     """
     w = 0.5 * np.stack(
         [
@@ -78,7 +79,15 @@ def rotation_vector(rotation: Array) -> Array:
     s = np.linalg.norm(w, axis=-1)
     angle = np.arctan2(s, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
     factor = np.where(s > 1e-12, angle / np.where(s > 1e-12, s, 1.0), 1.0)
-    return w * factor[..., None]
+    out = w * factor[..., None]
+    half = (s < 1e-7) & (angle > 3.0)
+    if half.any():
+        along = 0.5 * (rotation + np.swapaxes(rotation, -1, -2))[half] + np.eye(3)
+        longest = np.argmax(np.diagonal(along, axis1=-2, axis2=-1), axis=-1)
+        axis = along[np.arange(len(along)), longest]
+        axis *= np.where((axis * w[half]).sum(axis=-1) < 0.0, -1.0, 1.0)[:, None]
+        out[half] = angle[half][:, None] * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    return out
 
 
 def fit_rigid(points: Array, measured: Array) -> Array:

@@ -187,6 +187,14 @@ def test_an_orientation_out_of_reach_is_refused_with_its_angle(tmp_path: Path) -
         nominal_joints(gantry, from_xyz_rpy(np.array([0.2, 0.3, 1.7]), np.array([2.65e-4, 0, 0])))
 
 
+def test_a_pose_upside_down_is_out_of_reach_of_a_gantry(tmp_path: Path) -> None:
+    made = machine(tmp_path, "gantry", GANTRY)
+    for rpy in ([np.pi, 0, 0], [0, 0, np.pi]):
+        upside_down = from_xyz_rpy(np.array([0.1, 0.2, 1.6]), np.array(rpy))
+        with pytest.raises(CompensationRefused, match=r"cannot be reached .* miss it by 0 mm and 3\.14 rad"):
+            nominal_joints(made, upside_down)
+
+
 def test_compiled_setpoints_are_for_whole_poses(tmp_path: Path) -> None:
     calibration = with_errors(machine(tmp_path, "gantry", GANTRY), {3: [1e-3, 0, 0, 0, 0, 1e-3]}).calibration
     with pytest.raises(CalibrationError, match=r"'gantry' move its end effector in 3 ways, .* all six: use Co"):

@@ -21,6 +21,7 @@ from ppshw.kinematics import (
     tip_poses,
 )
 from ppshw.machine import Joint, Machine, TrackerModel, load_machine
+from ppshw.transforms import rotation_vector
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
@@ -187,3 +188,14 @@ def test_an_error_of_the_base_is_seen_whole_and_one_of_the_tip_as_it_is() -> Non
     assert jacobian[:, 0, 3] == pytest.approx([0, -0.95, 2.06, 1, 0, 0])  # x × (0, 2.06, 0.95)
     assert jacobian[:, 6, 3] == pytest.approx([0, 0, 0.07, 1, 0, 0])  # the tip is 0.07 above the last frame
     assert jacobian[:, 3, :3] == pytest.approx(np.eye(6)[:, :3])
+
+
+@pytest.mark.parametrize("short", [0.0, 1e-13, 1e-9, 1e-6, 1e-3])
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0, -0.8], [-0.48, 0.6, 0.64]])
+def test_a_rotation_vector_says_half_a_turn_too(axis: list[float], short: float) -> None:
+    wanted = (np.pi - short) * np.array(axis)
+    turned = Rotation.from_rotvec(wanted).as_matrix()
+    found = rotation_vector(np.stack([turned, np.eye(3)]))
+    assert Rotation.from_rotvec(found[0]).as_matrix() == pytest.approx(turned, abs=1e-9)
+    assert np.linalg.norm(found[0]) == pytest.approx(np.pi - short, abs=1e-9)
+    assert found[1].tolist() == [0.0, 0.0, 0.0]
