@@ -207,10 +207,7 @@ class KnownEffects:
                 out.append(ways)
                 instead.append(np.zeros((len(ways), len(self._theta))))
                 continue
-            units = np.zeros((len(effect.columns), *base.shape[1:]))
-            for k, column in enumerate(effect.columns):
-                self._add(units[k : k + 1], effect, column, 1.0, contexts)
-            out.append(np.tensordot(effect.spread, units, axes=1))
+            out.append(np.tensordot(effect.spread, self._units(effect, contexts), axes=1))
             instead.append(effect.spread @ effect.mimicked_by(len(self._theta)))
         return np.concatenate(out), np.concatenate(instead)
 
@@ -218,14 +215,21 @@ class KnownEffects:
         """What else the effects may do by what is not known at `now`: (k, n+1, 6) [m, rad], the sum of whose squares is
         the variance that this brings to any displacement.
 
-        From which side a joint comes is either, a temperature anything that was measured, a load as old as any; what
-        goes by the clock is where it was at any moment of the recording, and may be farther off since.
+        From which side a joint comes is either, a temperature anything that was measured, a load as old as any, each
+        with how unsure the values are there; what goes by the clock is where it was at any moment of the recording, and
+        may be farther off since.
         """
         context = self._contexts(now, past, base, wrenches)[0]
         out = self._at_any_moment(context) + self._as_misread(now, context)
         for ways in self._ways(now, past):
-            each = np.concatenate([self.errors(then, before, base, wrenches) for then, before in ways])
-            out.append((each - each.mean(axis=0)) / np.sqrt(len(ways)))
+            contexts = [self._contexts(then, before, base, wrenches) for then, before in ways]
+            whole = np.zeros((len(ways), *base.shape[1:]))
+            for effect in self.effects:
+                units = np.stack([self._units(effect, each) for each in contexts])
+                apart = (units - units.mean(axis=0)) / np.sqrt(len(ways))
+                whole += np.tensordot(apart, np.array(effect.values), axes=(1, 0))
+                out += list(np.tensordot(effect.spread, apart, axes=(1, 1))) if apart.any() else []
+            out.append(whole)
         return np.concatenate(out) if out else np.zeros((0, *base.shape[1:]))
 
     def _ways(self, now: Moment, past: Past) -> Iterator[list[tuple[Moment, Past]]]:
@@ -345,6 +349,13 @@ class KnownEffects:
             out[0, column.frame, column.component] += value * size
         else:
             out[0] += value * size
+
+    def _units(self, effect: Effect, contexts: tuple[Context, Context]) -> Array:
+        """(k, n+1, 6) what each column of an effect does, of size one."""
+        units = np.zeros((len(effect.columns), self.machine.n + 1, 6))
+        for k, column in enumerate(effect.columns):
+            self._add(units[k : k + 1], effect, column, 1.0, contexts)
+        return units
 
     def _now(self, effect: Effect, column: Column, context: Context) -> Array:
         """The column's function at the last moment of the context; what only a clock knows at a moment known before:

@@ -543,6 +543,17 @@ def test_a_temperature_that_nobody_knows_makes_unsure_by_what_it_ran_through() -
     assert along_y(compensator, around=Around(temperatures={"rail": 22.0})) < 1e-9
 
 
+def test_a_temperature_that_nobody_knows_makes_no_surer_than_one_that_is_known() -> None:
+    """Of growth that may as well be none: by its 80 µm per kelvin, at any of the temperatures that there were."""
+    column = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    effect = Effect("thermal_growth", "vertical", (column,), (0.0,), (8e-5,), "by hand")
+    known = replace(base()[1], effects=(effect,), reference={"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0})
+    compensator = Compensator(replace(known, temperature_range={"rail": (19.0, 25.0)}))
+    felt = [along_y(compensator, around=Around(temperatures={"rail": rail})) for rail in (20.0, 24.0)]
+    assert felt == pytest.approx([1.6e-4, 1.6e-4], rel=0.01)
+    assert along_y(compensator) == pytest.approx(8e-5 * 6.0 * np.sqrt(2 / 27), rel=0.01)
+
+
 def late_growth(**of: object) -> Compensator:
     """vertical grows with the rail's temperature an hour ago, by 10 µm per kelvin, hardly unsure."""
     column = Column("frame", "temperature", {"place": "rail", "tau": 1.0}, VERTICAL + 1, TY)
