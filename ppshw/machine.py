@@ -135,13 +135,14 @@ class Machine:
         return np.array(list(self.targets.values()))
 
     def point(self, name: str) -> Array:
-        """A named point in the end-effector frame: the `tip` itself, a target or another point of interest."""
-        if name == "tip":
-            return np.zeros(3)
+        """A named point in the end-effector frame: a target, another point of interest, or the `tip` itself where the
+        file calls nothing else so."""
         if name in self.points:
             return self.points[name]
         if name in self.targets:
             return self.targets[name]
+        if name == "tip":
+            return np.zeros(3)
         known = ", ".join(["tip", *self.points, *self.targets])
         raise MachineFileError(f"{self.file}: no point named '{name}' (there are: {known})")
 

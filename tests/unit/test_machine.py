@@ -141,6 +141,12 @@ def test_an_axis_may_be_off_unit_by_rounding_only(tmp_path: Path) -> None:
         written(tmp_path, LEAST.replace("axis: [0, 0, 1]", "axis: [0, 0.70, 0.71]"))
 
 
+def test_a_reflector_that_is_called_tip_is_where_the_file_has_it(tmp_path: Path) -> None:
+    """Else verification holds its readings against where the end effector's frame ought to be: 0.1 m off."""
+    assert written(tmp_path, LEAST.replace("{P:", "{tip:")).point("tip").tolist() == [0.1, 0.0, 0.0]
+    assert written(tmp_path, LEAST).point("tip").tolist() == [0.0, 0.0, 0.0]
+
+
 def test_points_and_targets_and_the_tip_are_found_by_name(tmp_path: Path) -> None:
     machine = written(tmp_path, LEAST.replace("{targets: {P: [0.1, 0, 0]}}",
                                               "{targets: {P: [0.1, 0, 0]}, points: {nose: [0, 0, 2]}}"))  # fmt: skip
