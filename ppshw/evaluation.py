@@ -13,7 +13,7 @@ from ppshw.identification.plausible import far_off
 from ppshw.identification.start import align, to_base
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
-from ppshw.quantities import called
+from ppshw.quantities import called, many
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, displacement, is_beyond
@@ -47,7 +47,8 @@ def _fitted_frame(recording: Recording, predicted: Array) -> Array:
     seen = recording.seen
     if seen.sum() < 3:
         raise RecordingError(
-            f"{recording.source}: {int(seen.sum())} readings do not place the measuring frame, expected 3 or more"
+            f"{recording.source}: {many(int(seen.sum()), 'reading')} cannot place the measuring frame, "
+            "expected 3 or more"
         )
     return fit_rigid(recording.points[seen], predicted[seen])
 

@@ -17,6 +17,11 @@ def number(text: str) -> float:
     return float(text)
 
 
+def many(count: int, what: str) -> str:
+    """`1 visit`, `2 visits`."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def distance(metres: float) -> str:
     """How far something is off, to three digits and without an exponent: in mm below a metre, else in m.
 

@@ -26,7 +26,7 @@ from ppshw.cli.answers import (
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
-from ppshw.quantities import called
+from ppshw.quantities import called, many
 from ppshw.whole_file import written_whole
 
 
@@ -182,6 +182,6 @@ def twin(a: argparse.Namespace) -> None:
     answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
               "recording": recorded, "twin": twin, "checks": checks,
               "warnings": warnings}  # fmt: skip
-    lines = [f"{a.out}: {len(recording)} visits; residuals of the calibration [mm]", FIGURE_HEAD]
+    lines = [f"{a.out}: {many(len(recording), 'visit')}; residuals of the calibration [mm]", FIGURE_HEAD]
     lines += [figure_row(name, answer[name]) for name in ("recording", "twin")]
     say(a, answer, folded([*lines, f"the recording is {sentence(checks)}"]))

@@ -25,6 +25,7 @@ from ppshw.cli.answers import (
 )
 from ppshw.cli.arguments import machine_of
 from ppshw.progress import Bar, folded
+from ppshw.quantities import many
 
 if TYPE_CHECKING:
     from ppshw.calibration import Calibration
@@ -148,8 +149,8 @@ def _identified(answer: Mapping[str, Any], not_told_apart: str) -> list[str]:
 
     aside = [v - 1 for v in answer["set_aside"]]
     lines = [
-        f"{answer['out']}: {answer['parameters']} parameters from {answer['visits']} visits "
-        f"({answer['readings']} readings) in {answer['seconds']:.1f} s",
+        f"{answer['out']}: {answer['parameters']} parameters from {many(answer['visits'], 'visit')} "
+        f"({many(answer['readings'], 'reading')}) in {answer['seconds']:.1f} s",
         f"  residual of the fit  {answer['fit']['rms_mm']:.3f} mm rms, {answer['fit']['p98_6_mm']:.3f} mm at 98.6 %",
         f"  pose repeatability   {np.linalg.norm(answer['pose_sigma_mm']):.3f} mm, "
         f"{np.linalg.norm(answer['pose_sigma_mrad']):.3f} mrad (1 sigma, 3-D)",
@@ -190,31 +191,31 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
     from ppshw.recording import listed
 
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if "identified_from_it" in answer else [])
-    lines = [f"{answer['visits']} visits, {answer['readings']} readings [mm]", FIGURE_HEAD]
+    lines = [f"{many(answer['visits'], 'visit')}, {many(answer['readings'], 'reading')} [mm]", FIGURE_HEAD]
     lines += [figure_row(name, values) for name, values in rows]
     if answer["far_off"]:
         off = [v - 1 for v in answer["far_off"]]
-        lines.append(f"{len(off)} visits with a reading that no error of a machine explains, in the figures all the "
-                     f"same: {listed(off)}")  # fmt: skip
+        lines.append(f"{many(len(off), 'visit')} with a reading that no error of a machine explains, in the figures "
+                     f"all the same: {listed(off)}")  # fmt: skip
     if answer.get("identified_from_it"):
         lines.append("the calibration was identified from this very recording: not what it is worth on others")
     if fitted := answer.get("fitted_visits"):
         lines.append(f"{fitted} of the visits are among those that the calibration was made from")
     if answer.get("earlier_visits"):
-        lines.append(f"goes on from {answer['earlier_visits']} visits that the calibration was made from")
+        lines.append(f"goes on from {many(answer['earlier_visits'], 'visit')} that the calibration was made from")
     if outside := answer.get("outside"):
-        said = [f"{o['of']} at {o['visits']} visit{'s' * (o['visits'] > 1)} ({o['farthest']:.4g} {o['unit']}, "
+        said = [f"{o['of']} at {many(o['visits'], 'visit')} ({o['farthest']:.4g} {o['unit']}, "
                 f"identified {o['low']:.4g} … {o['high']:.4g})" for o in outside]  # fmt: skip
         more = f" and {len(said) - SAID} more" if len(said) > SAID else ""
         lines.append(f"outside what was identified, carried on there: {', '.join(said[:SAID])}{more}")
     for b in answer.get("beyond", ()):
         lines.append(
-            f"{b['visits']} visits with {b['temperature']} beyond the {b['low_C']:.1f} to "
+            f"{many(b['visits'], 'visit')} with {b['temperature']} beyond the {b['low_C']:.1f} to "
             f"{b['high_C']:.1f} °C at which effects were measured; carried on there"
         )
     if held := answer.get("held_in_time"):
-        lines.append(f"{held['visits']} visits so long before or after the calibration's own that nobody knows how far "
-                     f"{' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
+        lines.append(f"{many(held['visits'], 'visit')} so long before or after the calibration's own that nobody knows "
+                     f"how far {' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
     if untimed := answer.get("untimed"):
         lines.append(f"no column time: {' and '.join(untimed)} taken as if these visits had followed at once on the "
                      "calibration's own")  # fmt: skip
@@ -225,6 +226,6 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
             continue
         lines.append(
             f"corrected without a name over {over}, by which unsure to "
-            f"{u['std_mm']:.3f} mm rms; not at {u['visits_without']} visits, where there were no data"
+            f"{u['std_mm']:.3f} mm rms; not at {many(u['visits_without'], 'visit')}, where there were no data"
         )
     return lines

@@ -10,6 +10,7 @@ from ppshw.cli.answers import new_file, say, warn
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
+from ppshw.quantities import many
 from ppshw.whole_file import written_whole
 
 
@@ -42,8 +43,8 @@ def plan(a: argparse.Namespace) -> None:
     summary = found.summary()
     answer |= summary.as_dict()
     lines = [
-        f"{found.script.name} on {machine.name}: {summary.visits} visits, {summary.readings} readings, "
-        f"{summary.load_changes} load changes, about {_hours(summary.duration_s)}",
+        f"{found.script.name} on {machine.name}: {many(summary.visits, 'visit')}, {many(summary.readings, 'reading')}, "
+        f"{many(summary.load_changes, 'load change')}, about {_hours(summary.duration_s)}",
         *(f"  {step:28}{count:6} visits" for step, count in summary.steps.items()),
         *lines,
     ]

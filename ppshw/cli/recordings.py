@@ -10,6 +10,7 @@ from ppshw.cli.answers import READ_PER_S, new_file, new_recording, say
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar
+from ppshw.quantities import many
 from ppshw.whole_file import written_whole
 
 
@@ -37,7 +38,7 @@ def import_(a: argparse.Namespace) -> None:
     RecordingFile.create(out, table.header, meta, table.rows).close()
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
-    say(a, answer, f"{a.out}: {len(recording)} visits, {readings} readings")
+    say(a, answer, f"{a.out}: {many(len(recording), 'visit')}, {many(readings, 'reading')}")
 
 
 def export(a: argparse.Namespace) -> None:
@@ -48,4 +49,4 @@ def export(a: argparse.Namespace) -> None:
     table = read_table(a.rec)
     with written_whole(out) as partial:
         partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")
-    say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {len(table.rows)} visits")
+    say(a, {"visits": len(table.rows), "out": a.csv}, f"{a.csv}: {many(len(table.rows), 'visit')}")

@@ -12,6 +12,7 @@ from ppshw.cli.answers import say, warn
 from ppshw.cli.arguments import machine_of, numbers, pairs
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
+from ppshw.quantities import many
 
 MOST_TURNED = 2 * np.pi  # an angle of a pose [rad], before it looks like degrees
 
@@ -128,7 +129,7 @@ def _corrected(
         off, turned = setpoints.left[:3] * 1e3, setpoints.left[3:] * 1e3
         answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}
         stay = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
-        lines.append(f"{a.point}: {stay}, which {machine.n} joint{'s' * (machine.n > 1)} cannot put right")
+        lines.append(f"{a.point}: {stay}, which {many(machine.n, 'joint')} cannot put right")
     if not payload.any():
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]

@@ -14,6 +14,7 @@ from ppshw.cli.answers import new_recording, say, warn
 from ppshw.cli.setpoints import check_point, run_up
 from ppshw.errors import BadInput, HardwareError
 from ppshw.progress import Bar, folded
+from ppshw.quantities import many
 from ppshw.whole_file import file_hash
 
 NARROWEST = 16  # letters of a column that is wrapped
@@ -39,11 +40,13 @@ def run(a: argparse.Namespace) -> None:
         )  # fmt: skip
     answer = {"out": str(result.out), "measured": result.measured, "done": result.done, "planned": len(found.visits),
               "skipped": result.skipped, "lost_beams": result.lost_beams}  # fmt: skip
-    lines = [f"{result.out}: {result.measured} visits measured now, {result.done} of {len(found.visits)} in all"]
+    lines = [
+        f"{result.out}: {many(result.measured, 'visit')} measured now, {result.done} of {len(found.visits)} in all"
+    ]
     if correct is not None:
         answer |= {"compensated": correct.as_dicts(True), "not_compensated": correct.as_dicts(False)}
         answer["warnings"] = warnings
-        lines += [f"{v.heading()}, {n} visits: {v.sentence()}" for v, n in correct.said]
+        lines += [f"{v.heading()}, {many(n, 'visit')}: {v.sentence()}" for v, n in correct.said]
         if correct.position_first and result.measured:
             off, turned = (correct.left * 1e3).tolist()
             answer |= {"most_left_mm": off, "most_left_mrad": turned}

@@ -17,7 +17,7 @@ from ppshw.identification.start import align, to_base
 from ppshw.kinematics import frames, point_positions, tip_poses
 from ppshw.machine import RADIUS_986, Machine
 from ppshw.machine import doubts as doubts_of_file
-from ppshw.quantities import distance
+from ppshw.quantities import distance, many
 from ppshw.recording import Recording, directions, listed
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms.history import payloads, unseen_moment, weighs
@@ -142,7 +142,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
     said = [f"{machine.file}: {line}" for line in doubts_of_file(machine)]
     if recording.copies:
         said.append(
-            f"{len(recording.copies)} visits read the same as an earlier one to the last digit "
+            f"{many(len(recording.copies), 'visit')} read the same as an earlier one to the last digit "
             f"({listed(recording.copies)}): are these rows copies?"
         )
     said += [
@@ -150,7 +150,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         for name, meant in recording.misspelt.items()
     ]
     said += [
-        f"temp_{place}_C leaps at {len(visits)} visit{'s' * (len(visits) > 1)} ({listed(visits)}) and is back at once: "
+        f"temp_{place}_C leaps at {many(len(visits), 'visit')} ({listed(visits)}) and is back at once: "
         "taken for empty there"
         for place, visits in recording.spikes.items()
     ]
@@ -163,7 +163,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
     if len(rows := np.flatnonzero(misread(machine, recording))):
         loads = ", ".join(dict.fromkeys(f"'{recording.load[k]}'" for k in rows))
         said.append(
-            f"the wrench read at {len(rows)} visit{'s' * (len(rows) > 1)} ({listed(rows)}) is not that of the load "
+            f"the wrench read at {many(len(rows), 'visit')} ({listed(rows)}) is not that of the load "
             f"{loads} at its other visits"
         )
     if hardly := _hardly_loaded(recording):

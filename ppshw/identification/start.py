@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ppshw.errors import IdentificationFailed
 from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine
+from ppshw.quantities import many
 from ppshw.recording import Recording
 from ppshw.transforms import fit_rigid, inverse
 
@@ -28,7 +29,8 @@ def align(machine: Machine, recording: Recording, targets_free: bool) -> tuple[A
     seen = recording.seen
     if seen.sum() < 3:
         raise IdentificationFailed(
-            f"{recording.source}: {int(seen.sum())} readings do not place the measuring frame, expected 3 or more"
+            f"{recording.source}: {many(int(seen.sum()), 'reading')} cannot place the measuring frame, "
+            "expected 3 or more"
         )
     visits, which = np.nonzero(seen)
     measured = recording.points[visits, which]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ppshw.quantities import value_of
+from ppshw.quantities import many, value_of
 
 # Figures at the point, as the page calls them; and what else of the answer is a plain value.
 FIGURES_OF = {"nominal": "uncompensated", "base": "base", "extended": "extended"}
@@ -41,7 +41,7 @@ def treated(answer: Mapping[str, Any]) -> list[str]:
         for v in verdicts:
             joint = f" of {v['joint']}" if v["joint"] else ""
             why = f": {v['why']}" if v["why"] else ""
-            lines.append(f"{what}, {v['visits']} visits: {v['effect']}{joint}{why}")
+            lines.append(f"{what}, {many(v['visits'], 'visit')}: {v['effect']}{joint}{why}")
     return lines
 
 

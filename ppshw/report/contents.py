@@ -17,6 +17,7 @@ import numpy as np
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.errors import ReportError
 from ppshw.machine import Machine, load_machine
+from ppshw.quantities import many
 from ppshw.recording import Recording, load_recording
 from ppshw.recording_file import RecordingFile, is_sqlite
 from ppshw.report import concealed
@@ -89,7 +90,7 @@ def read_folder(folder: Path) -> Contents:
     if not (folder / MACHINE).is_file():
         raise ReportError(f"{folder}: holds no {MACHINE}, expected a folder that a calibration was made in")
     machine = load_machine(folder / MACHINE)
-    sources = [Source(MACHINE, machine.sha256, f"machine '{machine.name}', {machine.n} joints")]
+    sources = [Source(MACHINE, machine.sha256, f"machine '{machine.name}', {many(machine.n, 'joint')}")]
     missing: list[Missing] = []
     calibration = _calibration(folder, machine, sources, missing)
     recordings: dict[str, Recording] = {}
@@ -149,7 +150,7 @@ def _is_empty(path: Path) -> bool:
 
 
 def _recording_source(path: Path, recording: Recording) -> Source:
-    about = f"{len(recording)} visits"
+    about = many(len(recording), "visit")
     if not is_sqlite(path):
         return Source(path.name, recording.sha256, about)
     with RecordingFile.open(path, readonly=True) as file:

@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from ppshw.diagnosis import serial
 from ppshw.diagnosis.checks import sentence
 from ppshw.errors import ReportError
+from ppshw.quantities import many
 from ppshw.report import figures, functions, tables
 from ppshw.report.contents import Contents, read_folder
 from ppshw.report.numbers import Fit, Numbers, compute, fit
@@ -199,11 +200,11 @@ def _sections(contents: Contents, numbers: Numbers, left: Fit | None) -> list[Se
 
 def _repeatability_text(again: dict[str, Any]) -> str:
     return (
-        f"{again['visits']} visits of {again['poses']} poses and loads, each about the mean of its own (the paper’s "
-        f"figure 13). 98.6 % of the visits come back within {mm(again['p98_6_mm'])} of it: that is what this "
-        f"page calls repeatability, our definition, with deviations widened by √(n/(n−1)) for the mean’s own share. "
-        f"ISO 9283’s RP = mean + 3σ of the distance, averaged over the poses, is {mm(again['rp_iso9283_mm'])}. The "
-        f"tracker’s noise is part of both."
+        f"{many(again['visits'], 'visit')} of {again['poses']} poses and loads, each about the mean of its own "
+        f"(the paper’s figure 13). 98.6 % of the visits come back within {mm(again['p98_6_mm'])} of it: that is what "
+        f"this page calls repeatability, our definition, with deviations widened by √(n/(n−1)) for the mean’s own "
+        f"share. ISO 9283’s RP = mean + 3σ of the distance, averaged over the poses, is {mm(again['rp_iso9283_mm'])}. "
+        f"The tracker’s noise is part of both."
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from ppshw import __version__
 from ppshw.calibration import MOST_POSITIONS
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.quantities import many
 from ppshw.recording import Recording
 from ppshw.report import concealed
 from ppshw.report.contents import Contents
@@ -68,7 +69,9 @@ def facts(contents: Contents, numbers: Numbers, left: Fit | None) -> list[tuple[
         text += f"; the maker claims {mm(claimed * 1e3)}" if claimed else ""
         out.append(("Repeatability", text))
     if left is not None:
-        out.append(("Outliers", f"{int(left.outlier.sum())} of {len(left.outlier)} visits of the identification"))
+        out.append(
+            ("Outliers", f"{int(left.outlier.sum())} of {many(len(left.outlier), 'visit')} of the identification")
+        )
     counts = [f"{plain(result[k])} {k}" for k in ("visits", "readings") if k in result]
     if counts and "campaign" not in contents.recordings:
         out.append(("Measurements", f"{', '.join(counts)}, as {contents.result_name} says"))

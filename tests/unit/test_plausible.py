@@ -153,7 +153,7 @@ def test_what_cannot_be_determined_is_said(tmp_path: Path) -> None:
     one = recording.points.copy()
     one[1:] = np.nan
     one[0, 1:] = np.nan
-    with pytest.raises(IdentificationFailed, match="1 readings do not place the measuring frame"):
+    with pytest.raises(IdentificationFailed, match="1 reading cannot place the measuring frame"):
         identify(machine, replace(recording, points=one))
 
 
