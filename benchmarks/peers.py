@@ -141,7 +141,7 @@ def plausible(measure: Callable[[], dict[str, list[float]]]) -> dict[str, list[f
         ours = {key: rounds + ours[key] for key, rounds in measure().items()}
     if (key := _faster(ours)) is not None:
         raise SystemExit(
-            f"{key.replace('_', ' ')} {number(min(ours[key]))} µs per pose, the forward solution in it "
+            f"{key.replace('_jacobian', ' Jacobian')} {number(min(ours[key]))} µs per pose, the forward solution in it "
             f"{number(min(ours['forward']))}: this cannot be, measure again"
         )
     return ours

@@ -167,8 +167,8 @@ def _differs_in_shape_alone(mine: Candidate, other: Candidate) -> bool:
 
 
 def _kind(column: Column) -> tuple[str, dict[str, Any]]:
-    """What a column is but for numbers that stand on a grid: its function, and by which load, channel, place, …"""
-    return column.function, {name: value for name, value in column.args.items() if not isinstance(value, float)}
+    """What a column is but for numbers and moments that stand on a grid: its function, and by which load, channel, …"""
+    return column.function, {name: value for name, value in column.args.items() if isinstance(value, int | str)}
 
 
 def _entry(value: float, std: float | None, unit: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -285,6 +286,25 @@ def test_what_the_library_has_one_value_of_has_no_spread(space: Workspace) -> No
                     (Column("frame", "step", {"visit_time": 1.0}, 1, 0),), {"time_h": 1.0})  # fmt: skip
     tried = Tried(space, [one], space.unit)
     assert spread_of(tried, 0, tried.said()[0]) == {}
+
+
+def test_moments_are_a_grid_and_loads_are_not(space: Workspace) -> None:
+    """A zero that hops is laid at several moments together; lags that go with two loads have numbers of two units."""
+    hours = space.context.hours
+    hops = [
+        Candidate("zero_shift", "lateral", "lateral", "tx", "time",
+                  (Column("frame", "hopping", {"times": moments}, 1, 0),), {"time_h": moments[0]})
+        for moments in itertools.combinations(np.quantile(hours, [0.2, 0.3, 0.6]).tolist(), 2)
+    ]  # fmt: skip
+    tried = Tried(space, hops, space.unit)
+    assert spread_of(tried, 0, np.zeros(len(hops)))["time_h"] > 0.0
+    lags = [
+        Candidate("friction_hysteresis", "lateral", "lateral", "tx", "move_lateral",
+                  (Column("frame", "slipping", {"joint": 0, "width": width, **by}, 1, 0),), {"width": width})
+        for width, by in ((0.1, {"tilted": 3}), (0.2, {"tilted": 5}), (0.3, {"pressed": -1}))
+    ]  # fmt: skip
+    tried = Tried(space, lags, space.unit)
+    assert spread_of(tried, 0, np.zeros(len(lags))) == {}
 
 
 def test_the_phase_of_a_wave_is_as_unsure_as_it_may_turn(space: Workspace) -> None:
