@@ -56,16 +56,15 @@ def _on(candidate: Candidate, function: str, **args: object) -> Column:
 
 
 def _lost_motion(c: Context, k: Candidate) -> list[Column]:
-    joint = c.machine.joint_names.index(str(k.joint))
+    joint, first = c.machine.joint_names.index(str(k.joint)), k.columns[0]
     low, high = float(c.recording.q[:, joint].min()), float(c.recording.q[:, joint].max())
     ways = (high - low) * np.array([0.005, 0.02, 0.05, 0.12, 0.3])
-    past = {key: value for key, value in k.columns[0].args.items() if key == "past"}
+    past = {key: value for key, value in first.args.items() if key == "past"}
     slips = [_on(k, "slipping", joint=joint, width=float(way), **past) for way in ways]
     slips += [_on(k, "winding", joint=joint, way=float(way), **past) for way in ways]
-    # of each way to lose, by its own function: what a moment upon the joint adds
-    slips += [_on(k, first.function, **first.args, tilted=by) for first in k.columns[:1] for by in tilts(c, joint)]
+    tilted = [_on(k, first.function, **first.args, tilted=by) for by in tilts(c, joint)]  # what a moment upon it adds
     tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
-    return [*slips, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]
+    return [*slips, *tilted, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]
 
 
 def _thermal(c: Context, k: Candidate) -> list[Column]:
