@@ -54,14 +54,12 @@ def _ways(q: Array, approach: NDArray[np.int64], past: float) -> list[tuple[floa
 def _steps(q: Array, approach: NDArray[np.int64]) -> list[tuple[float, bool]]:
     """Per visit how far the joint went, and whether it came from the other side than that way says: a move there and
     back between visits leaves its mark. What an encoder reads anew at standstill is no step."""
-    still = STANDSTILL * float(np.ptp(q))
-    out = [(0.0, False)]
-    for k in range(1, len(q)):
-        step = float(q[k] - q[k - 1])
-        step = step if abs(step) > still else 0.0
-        turned = approach[k] * step < 0 if step else approach[k] * approach[k - 1] < 0
-        out.append((step, bool(turned)))
-    return out[: len(q)]
+    if not len(q):
+        return []
+    step, side = np.diff(q), approach[1:]
+    step = np.where(np.abs(step) > STANDSTILL * float(np.ptp(q)), step, 0.0)
+    turned = np.where(step != 0.0, side * step, side * approach[:-1]) < 0
+    return [(0.0, False), *zip(step.tolist(), turned.tolist(), strict=True)]
 
 
 def wind_up(q: Array, approach: NDArray[np.int64], way: float, past: float = math.inf) -> Array:
