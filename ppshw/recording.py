@@ -188,11 +188,14 @@ def read_table(path: Path | str) -> Table:
     return _read_csv(path)
 
 
-def load_recording(path: Path | str, machine: Machine) -> Recording:
-    """Read and check a recording. Raises RecordingError naming file, line and column."""
+def load_recording(path: Path | str, machine: Machine, lost_at_all: bool = False) -> Recording:
+    """Read and check a recording. Raises RecordingError naming file, line and column.
+
+    lost_at_all  the beam may have been lost at every visit: for what the machine did, whatever was seen of it
+    """
     table = read_table(path)
     check_machine(table, machine)
-    return parse_table(table, machine)
+    return parse_table(table, machine, lost_at_all)
 
 
 def check_machine(table: Table, machine: Machine) -> None:
@@ -201,7 +204,7 @@ def check_machine(table: Table, machine: Machine) -> None:
         raise RecordingError(f"{table.source}: measured on machine '{table.machine_name}', not on '{machine.name}'")
 
 
-def parse_table(table: Table, machine: Machine) -> Recording:
+def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Recording:
     """Check every value of a table against the machine. Raises RecordingError; see `load_recording`."""
     cells = _Cells(table)
     joints = machine.joint_names
@@ -223,7 +226,7 @@ def parse_table(table: Table, machine: Machine) -> Recording:
         first = next(iter(machine.targets))
         raise RecordingError(f"{table.source}: no column for any target of the machine, expected e.g. {first}_x")
     extra_points = {p: cells.point(p) for p in machine.points if any(f"{p}_{axis}" in cells for axis in "xyz")}
-    if not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
+    if not lost_at_all and not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
         names = ", ".join(machine.targets)
         raise RecordingError(f"{table.source}: not one target was measured: every cell of {names} is empty")
     # a bench without a force sensor leaves all cells of the columns empty

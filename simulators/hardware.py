@@ -217,7 +217,7 @@ class SimulatedHardware:
         }  # fmt: skip
 
     def write_site(self, path: str | Path, site: Mapping[str, Any] | None = None) -> Path:
-        Path(path).write_text(yaml.safe_dump(dict(site or self.site()), sort_keys=False), encoding="utf-8")
+        _write_at_once(Path(path), yaml.safe_dump(dict(site or self.site()), sort_keys=False))
         return Path(path)
 
     # --- the hall ------------------------------------------------------------------------------------------
@@ -230,9 +230,14 @@ class SimulatedHardware:
 
     def _write_temperatures(self) -> None:
         said = {"time": self.clock.utc().isoformat(), "temperatures_C": self.live.temperatures()}
-        fresh = self._thermometer_file.with_suffix(".new")
-        fresh.write_text(json.dumps(said), encoding="utf-8")
-        fresh.replace(self._thermometer_file)
+        _write_at_once(self._thermometer_file, json.dumps(said))
+
+
+def _write_at_once(path: Path, text: str) -> None:
+    """Whoever reads meanwhile finds the old file or the new one, whole."""
+    fresh = path.with_name(f"{path.name}.new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(path)
 
 
 class _Ways:

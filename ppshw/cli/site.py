@@ -97,7 +97,7 @@ def _so_far(out: Path, machine: Any) -> Any:
         return None
     with RecordingFile.open(out, readonly=True) as file:
         begun = bool(file.done())
-    return load_recording(out, machine) if begun else None
+    return load_recording(out, machine, lost_at_all=True) if begun else None
 
 
 def check(a: argparse.Namespace) -> None:

@@ -149,6 +149,16 @@ def test_a_part_of_a_recording_is_a_recording(tmp_path: Path) -> None:
         assert len(part) == 2
 
 
+def test_what_a_machine_did_is_read_though_every_beam_was_lost(tmp_path: Path) -> None:
+    """A corrected run of which the first visits all lost their beam could not go on (a reviewer's)."""
+    lines = ("q_rail,q_turn,P1_x,P1_y,P1_z", "0.1,0.2,,,", "0.3,0.4,,,")
+    with pytest.raises(RecordingError, match="not one target was measured"):
+        read(tmp_path, *lines)
+    found = load_recording(tmp_path / "r.csv", load_machine(tmp_path / "m.yaml"), lost_at_all=True)
+    assert found.q.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    assert not found.measured.any()
+
+
 # --- the file --------------------------------------------------------------------------------------------------------
 def test_a_visit_is_committed_with_its_shots_or_not_at_all(tmp_path: Path) -> None:
     with RecordingFile.create(tmp_path / "r.db", ["load", "q"], {"machine_name": "m"}) as file:
