@@ -207,70 +207,98 @@ def check_machine(table: Table, machine: Machine) -> None:
 def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Recording:
     """Check every value of a table against the machine. Raises RecordingError; see `load_recording`."""
     cells = _Cells(table)
-    joints = machine.joint_names
-    for j in joints:
-        if f"q_{j}" not in cells and f"q_cmd_{j}" not in cells:
-            raise RecordingError(
-                f"{table.source}: no column q_{j} or q_cmd_{j}; is this a recording of machine '{machine.name}'?"
-            )
-    for prefix in ("q_", "q_cmd_"):
-        _check_spelling(cells, machine, prefix)
-    q_cmd = np.column_stack([cells.numbers(f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}") for j in joints])
-    q = np.column_stack(
-        [cells.numbers(f"q_{j}", fallback=q_cmd[:, k]) if f"q_{j}" in cells else q_cmd[:, k]
-         for k, j in enumerate(joints)]
-    )  # fmt: skip
-    _check_limits(cells, machine, q_cmd)
-    points = np.stack([cells.point(t) for t in machine.targets], axis=1)
-    if not any(f"{t}_x" in cells for t in machine.targets):
-        first = next(iter(machine.targets))
-        raise RecordingError(f"{table.source}: no column for any target of the machine, expected e.g. {first}_x")
-    extra_points = {p: cells.point(p) for p in machine.points if any(f"{p}_{axis}" in cells for axis in "xyz")}
-    if not lost_at_all and not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
-        names = ", ".join(machine.targets)
-        raise RecordingError(f"{table.source}: not one target was measured: every cell of {names} is empty")
-    # a bench without a force sensor leaves all cells of the columns empty
-    has_wrench = any(any(cells.raw(c)) for c in WRENCH_COMPONENTS if c in cells)
-    wrench = np.zeros((len(table.rows), 6))
-    if has_wrench:
-        wrench = np.column_stack([
-            cells.numbers(c, largest=LARGEST_WRENCH, unit=" N" if k < 3 else " N m")
-            for k, c in enumerate(WRENCH_COMPONENTS)
-        ])  # fmt: skip
-    approach = directions(q_cmd)
-    for k, j in enumerate(joints):
-        if f"approach_{j}" in cells and (said := cells.approach(f"approach_{j}")).any():  # all 0: nobody wrote it down
-            approach[:, k] = said
+    q, q_cmd = _positions(cells, machine)
+    points, extra_points = _points(cells, machine, lost_at_all)
+    wrench, has_wrench = _wrench(cells)
     copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
     points[copies] = math.nan
-    unknown = np.full(len(table.rows), math.nan)
-    temperatures = {n[5:-2]: cells.temperature(n) for n in cells.names if n.startswith("temp_") and n.endswith("_C")}
-    spikes = {place: told for place, values in temperatures.items() if len(told := _spikes(values))}
-    for place, visits in spikes.items():
-        temperatures[place][visits] = math.nan
+    temperatures, spikes = _temperatures(cells)
+    unknown = np.full(len(cells), math.nan)
     return Recording(
-        joint_names=joints,
+        joint_names=machine.joint_names,
         target_names=tuple(machine.targets),
         time=cells.times("time") if "time" in cells and any(cells.raw("time")) else unknown,
         step=cells.texts("step"),
         load=cells.texts("load"),
         q=q,
         q_cmd=q_cmd,
-        approach=approach,
+        approach=_approach(cells, machine, q_cmd),
         settle_s=cells.numbers("settle_s", fallback=unknown) if "settle_s" in cells else unknown,
         wrench=wrench,
         points=points,
         extra_points=extra_points,
-        temperatures={place: _between(values) for place, values in temperatures.items()},
+        temperatures=temperatures,
         covariates={n[4:]: cells.numbers(n, fallback=unknown) for n in cells.names if n.startswith("cov_")},
         has_wrench=has_wrench,
         source=table.source,
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
         copies=tuple(copies.tolist()),
-        spikes={place: tuple(visits.tolist()) for place, visits in spikes.items()},
+        spikes=spikes,
         misspelt=_misspelt(cells.names, machine),
         load_age_s=cells.numbers(LOAD_AGE, fallback=unknown) if LOAD_AGE in cells else None,
-    )  # fmt: skip
+    )
+
+
+def _positions(cells: _Cells, machine: Machine) -> tuple[Array, Array]:
+    """Where the joints were and where they were sent, (N, n) each: either stands for the other where it is missing."""
+    joints = machine.joint_names
+    for j in joints:
+        if f"q_{j}" not in cells and f"q_cmd_{j}" not in cells:
+            raise RecordingError(
+                f"{cells.source}: no column q_{j} or q_cmd_{j}; is this a recording of machine '{machine.name}'?"
+            )
+    for prefix in ("q_", "q_cmd_"):
+        _check_spelling(cells, machine, prefix)
+    q_cmd = np.column_stack([cells.numbers(f"q_cmd_{j}" if f"q_cmd_{j}" in cells else f"q_{j}") for j in joints])
+    q = np.column_stack([
+        cells.numbers(f"q_{j}", fallback=q_cmd[:, k]) if f"q_{j}" in cells else q_cmd[:, k]
+        for k, j in enumerate(joints)
+    ])  # fmt: skip
+    _check_limits(cells, machine, q_cmd)
+    return q, q_cmd
+
+
+def _points(cells: _Cells, machine: Machine, lost_at_all: bool) -> tuple[Array, dict[str, Array]]:
+    """Readings of the machine's targets (N, T, 3), and of its other points (N, 3) each, nan where the beam was lost."""
+    points = np.stack([cells.point(t) for t in machine.targets], axis=1)
+    if not any(f"{t}_x" in cells for t in machine.targets):
+        first = next(iter(machine.targets))
+        raise RecordingError(f"{cells.source}: no column for any target of the machine, expected e.g. {first}_x")
+    extra_points = {p: cells.point(p) for p in machine.points if any(f"{p}_{axis}" in cells for axis in "xyz")}
+    if not lost_at_all and not any(np.isfinite(p).any() for p in (points, *extra_points.values())):
+        names = ", ".join(machine.targets)
+        raise RecordingError(f"{cells.source}: not one target was measured: every cell of {names} is empty")
+    return points, extra_points
+
+
+def _wrench(cells: _Cells) -> tuple[Array, bool]:
+    """What the force sensor read (N, 6), 0 without one: a bench that has none leaves all cells of the columns empty."""
+    if not any(any(cells.raw(c)) for c in WRENCH_COMPONENTS if c in cells):
+        return np.zeros((len(cells), 6)), False
+    wrench = np.column_stack([
+        cells.numbers(c, largest=LARGEST_WRENCH, unit=" N" if k < 3 else " N m")
+        for k, c in enumerate(WRENCH_COMPONENTS)
+    ])  # fmt: skip
+    return wrench, True
+
+
+def _approach(cells: _Cells, machine: Machine, q_cmd: Array) -> NDArray[np.int64]:
+    """(N, n) the sides that joints came from: as written down, or where a column says nothing by the moves."""
+    approach = directions(q_cmd)
+    for k, j in enumerate(machine.joint_names):
+        if f"approach_{j}" in cells and (said := cells.approach(f"approach_{j}")).any():  # all 0: nobody wrote it down
+            approach[:, k] = said
+    return approach
+
+
+def _temperatures(cells: _Cells) -> tuple[dict[str, Array], dict[str, tuple[int, ...]]]:
+    """Temperatures (N,) of every place without broken cells and gaps, and the visits at which cells were broken."""
+    read = {n[5:-2]: cells.temperature(n) for n in cells.names if n.startswith("temp_") and n.endswith("_C")}
+    spikes = {place: told for place, values in read.items() if len(told := _spikes(values))}
+    for place, visits in spikes.items():
+        read[place][visits] = math.nan
+    without = {place: _between(values) for place, values in read.items()}
+    return without, {place: tuple(visits.tolist()) for place, visits in spikes.items()}
 
 
 def _spikes(values: Array) -> NDArray[np.int64]:
@@ -363,6 +391,9 @@ class _Cells:
 
     def __contains__(self, name: str) -> bool:
         return name in self._index
+
+    def __len__(self) -> int:
+        return len(self._table.rows)
 
     @property
     def source(self) -> str:

@@ -37,20 +37,30 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
 
 
+Add = Callable[..., argparse.ArgumentParser]
+
+
 def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="ppshw", description="Measure, identify and take out the errors of a large manipulator.")
     parser.add_argument("--version", action="version", version=f"ppshw {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
-    def add(name: str, function: Callable[[argparse.Namespace], None], about: str) -> argparse.ArgumentParser:
+    def add(
+        name: str, function: Callable[[argparse.Namespace], None], about: str, json: bool = True
+    ) -> argparse.ArgumentParser:
         found = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
-        found.add_argument("--json", action="store_true", help="print the answer as JSON")
+        if json:
+            found.add_argument("--json", action="store_true", help="print the answer as JSON")
         found.set_defaults(function=function)
         return found
 
-    def machine(p: argparse.ArgumentParser) -> None:
-        p.add_argument("--machine", required=True, metavar="M", help="machine file, or pps or arm6, which come with it")
+    # in the order of the help
+    for some in (_simulation, _campaigns, _recordings, _calibrations, _setpoints, _diagnosis, _studies):
+        some(add)
+    return parser
 
+
+def _simulation(add: Add) -> None:
     p = add("demo", demo, "the main job on simulated hardware, from campaign to compensated verification")
     p.add_argument("--out", default="demo-out", metavar="DIR",
                    help="where results go, in place of an earlier demo's (default: demo-out)")  # fmt: skip
@@ -65,18 +75,20 @@ def build_parser() -> argparse.ArgumentParser:
     )
 
     p = add("simulate", simulate, "simulated hardware as a process of its own, on endpoints that open like real ones")
-    machine(p)
+    _machine(p)
     p.add_argument("--site-out", required=True, metavar="S", help="site file to write, for check and run")
     p.add_argument("--seed", type=seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--speed", type=positive, default=1.0, help="how much faster than real time (default: 1)")
     p.add_argument("--force-sensor", choices=("bota", "gsv8"), default="bota")
 
+
+def _campaigns(add: Add) -> None:
     p = add("check", check, "connect to each device of a site and say who and how it is; moves nothing")
     p.add_argument("--site", required=True, metavar="S", help="site file")
 
     p = add("plan", plan, "expand a campaign, check it against limits, say how many visits and how long; or design one")
     p.add_argument("campaign", nargs="?", help="campaign script (a file, or the name of one that comes with ppshw)")
-    machine(p)
+    _machine(p)
     p.add_argument("--list", action="store_true", help="list every visit")
     p.add_argument("--visibility", action="store_true", help="for every effect and joint what the campaign would show")
     p.add_argument("--to-separate", metavar="A,B", help="visits that tell two effects apart, after this or --after")
@@ -104,36 +116,42 @@ def build_parser() -> argparse.ArgumentParser:
                    "the first point, or the tip)")  # fmt: skip
     _reset_faults(p)
 
+
+def _recordings(add: Add) -> None:
     p = add("import", import_, "interchange CSV → recording, lossless")
     p.add_argument("csv", metavar="CSV")
-    machine(p)
+    _machine(p)
     p.add_argument("--out", required=True, metavar="REC.db", help="a new file")
 
     p = add("export", export, "recording → interchange CSV, lossless")
     p.add_argument("rec", metavar="REC.db")
     p.add_argument("csv", metavar="CSV")
 
+
+def _calibrations(add: Add) -> None:
     p = add("identify", identify, "a recording → a calibration with its uncertainty")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
-    machine(p)
+    _machine(p)
     p.add_argument("--out", required=True, metavar="CAL.json")
     p.add_argument("--method", choices=("joint", "paper"), default="joint",
                    help="joint: all visits at once; paper: stepwise, needs the paper's campaign")  # fmt: skip
 
     p = add("evaluate", evaluate, "what the model misses on a recording it has not seen")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
-    machine(p)
+    _machine(p)
     p.add_argument("--calibration", metavar="CAL.json", help="without: the ideal machine only")
     p.add_argument("--refit-base", action="store_true",
                    help="the tracker was moved since the calibration: fit the measuring frame to this recording first "
                    "(default: the frame of the calibration, or of the machine file)")  # fmt: skip
 
+
+def _setpoints(add: Add) -> None:
     for name, function, about in (
         ("compensate", compensate, "wanted pose and load → corrected joint setpoints; without --site moves nothing"),
         ("move", move, "the same as compensate, and drives the axes there"),
     ):
         p = add(name, function, about)
-        machine(p)
+        _machine(p)
         p.add_argument("--calibration", required=True, metavar="CAL.json")
         wanted = p.add_mutually_exclusive_group(required=True)
         wanted.add_argument("--pose", nargs="+", metavar="X Y Z ROLL PITCH YAW",
@@ -164,6 +182,8 @@ def build_parser() -> argparse.ArgumentParser:
         p.add_argument("--site", required=name == "move", metavar="S", help="site file of the axes to drive there")
         _reset_faults(p)
 
+
+def _diagnosis(add: Add) -> None:
     p = add("report", report, "one self-contained HTML page of what a folder holds")
     p.add_argument("dir", metavar="DIR",
                    help="machine.yaml, and what there is of calibration.json, campaign.db (or the recording that the "
@@ -173,10 +193,9 @@ def build_parser() -> argparse.ArgumentParser:
                    ".db")  # fmt: skip
 
     about = "locate, name and model what the model leaves unexplained in a recording"
-    p = commands.add_parser("diagnose", help=about, description=f"{about[0].upper()}{about[1:]}.")
-    p.set_defaults(function=diagnose)
+    p = add("diagnose", diagnose, about, json=False)
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
-    machine(p)
+    _machine(p)
     p.add_argument("--json", nargs="?", const="-", metavar="OUT.json",
                    help="the answer as JSON, into a file; without one printed instead of the sentences")  # fmt: skip
     p.add_argument("--out", metavar="CAL.json", help="a calibration with what was found modelled")
@@ -185,11 +204,13 @@ def build_parser() -> argparse.ArgumentParser:
 
     p = add("twin", twin, "what a calibration says the visits of a recording would have read, and whether they did")
     p.add_argument("rec", metavar="REC", help="recording, .db or .csv")
-    machine(p)
+    _machine(p)
     p.add_argument("--calibration", required=True, metavar="CAL.json", help="with its effects, if it has any")
     p.add_argument("--out", required=True, metavar="TWIN.csv", help="the recording with simulated readings")
     p.add_argument("--seed", type=seed, default=0, help="of its noise (default: 0)")
 
+
+def _studies(add: Add) -> None:
     p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
     p.add_argument("--out", required=True, metavar="DIR")
     p.add_argument("--cases", type=count, metavar="N", help="default: 108, the whole deck once")
@@ -205,11 +226,14 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=count, metavar="N", help="machines (default: 20; residuals: 100; with --short: 1)")
     p.add_argument("--short", action="store_true", help="small and quick, to see that it runs")
     _cluster(p)
-    return parser
 
 
 # Names of ppshw.studies.catalogue, which takes long to import.
 STUDIES = ("accuracy-repeatability", "accuracy-visits", "residuals", "directions")
+
+
+def _machine(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--machine", required=True, metavar="M", help="machine file, or pps or arm6, which come with it")
 
 
 def _cluster(p: argparse.ArgumentParser) -> None:
