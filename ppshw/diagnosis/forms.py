@@ -138,10 +138,14 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
     if k.component is None and first.function == "creeping":  # of one load, or of several
         one = len({each.args["component"] for each in k.columns}) == 1
         forms = (*ANY_WAY, "first") if one else (first.args["form"],)
-        return [
+        out = [
             Column(each.on, each.function, {**each.args, "tau": tau, "form": form}, each.frame, each.component)
             for each in k.columns for tau in CREEP_H[::3] for form in forms
         ]  # fmt: skip
+        if any(each.component != each.args["component"] for each in k.columns):
+            return out
+        along = [(each.function, each.args, each.frame) for each in k.columns]  # what bends shifts what it carries, too
+        return out + [Column("frame", *of, comp) for of in along for comp in range(6)]
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
         for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total", "began")

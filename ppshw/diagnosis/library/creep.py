@@ -16,6 +16,7 @@ CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
 MUCH, MOST_ELEMENTS = 0.03, 18  # of a link's compliance: beside the largest, and how many
 ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
+ALONG = ("exponential", "log", "wrench", "total")
 
 
 def creeping(c: Context) -> Iterator[Candidate]:
@@ -50,6 +51,10 @@ def creeping(c: Context) -> Iterator[Candidate]:
                     where |= {"tau": taus[0]}
                     any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
                     yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
+            if len(taus) == 1 and form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
+                of = {"frame": frame, "form": form, "tau": taus[0]}
+                along = tuple(Column("frame", "creeping", {**of, "component": b}, frame, b) for b in acting)
+                yield Candidate("creep", name, name, None, "since_load_change", along, shape, half)
             if len(taus) == 1 and form in ANY_WAY and len(elements := much_of_it(c, frame, acting)) > 1:
                 of = {"frame": frame, "form": form, "tau": taus[0]}
                 free = tuple(Column("frame", "creeping", {**of, "component": b}, frame, comp) for comp, b in elements)

@@ -333,6 +333,30 @@ def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -
     assert numbers_of(space.context, pushed, np.ones(1), np.eye(1))["compliance"]["unit"] == "m/N"
 
 
+def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one_finding(space: Workspace) -> None:
+    """Another author's positioner had creep of two rails, and a drift (0.86 and 0.53): of the one that creeps the base
+    calibration had little compliance, so that no share of what it has was like it."""
+    k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
+    moments = c.wrenches[:, k, [3, 5]]
+    followed = np.zeros_like(moments)  # a spring and a dashpot, after long rest, stepped as time goes
+    followed[0] = moments[0]
+    for n in range(1, len(followed)):
+        step, follows = (c.hours[n] - c.hours[n - 1]) / 200, followed[n - 1]
+        for _ in range(200):
+            follows = follows + step / 0.3 * (moments[n - 1] - follows)
+        followed[n] = follows
+    late = (moments - followed) * np.array([2.0, -1.0]) / moments.std(axis=0)
+    moved = np.einsum("nrc,nc->nr", c.jacobian[:, :, k, [3, 5]], late)
+    moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
+    found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "moving_weight"])
+    assert [f.name for f in found] == [("creep", "longitudinal")]
+    assert found[0].weights["creep", "longitudinal"] > 0.9
+    candidate = best_of(tried, found[0])
+    assert [column.component for column in candidate.columns] == [1, 3, 5]  # a number for each load, and no more
+    told = numbers_of(c, candidate, np.ones(len(candidate.columns)), np.eye(len(candidate.columns)))
+    assert {"compliance_rx_by_Mx", "compliance_rz_by_Mz"} <= set(told)
+
+
 def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
     k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
     followed = np.zeros(len(c.hours))  # a spring and a dashpot, from rest, stepped as time goes
