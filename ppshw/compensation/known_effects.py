@@ -153,7 +153,8 @@ class KnownEffects:
                 f"the load has lain there for longer than any did while it was measured ({60 * oldest:.0f} min); "
                 "taken as then"
             )
-        steady = self._taken_as_steady(effect.columns, now, past)
+        whole = [c for c in effect.columns if "than" not in c.args]  # what comes later in part is in how unsure it is
+        steady = self._taken_as_steady(whole, now, past)
         reserve += [f"lags {place} by {lag:g} h: taken as steady before it was read" for place, lag in steady.items()]
         reserve += self._beyond(effect.places, now, "carried on as it was")
         return True, "; ".join(reserve)

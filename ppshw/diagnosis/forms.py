@@ -68,22 +68,29 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
 
 
 def _thermal(c: Context, k: Candidate) -> list[Column]:
+    """Later or sooner in part, which adds nothing where temperatures are steady: what a lag of hours does in a
+    recording of hours is little and unsure, and made 135 ppm per kelvin 222 where nobody knew what a thermometer had
+    read before (a reviewer's)."""
     args = k.columns[0].args
     if k.joint is None:
         return [Column("frames", "link_growth", {**args, "joint": joint}) for joint in range(c.machine.n)]
     joint = c.machine.joint_names.index(k.joint)
+    than = float(args["tau"])
+    others = [{"tau": tau, "than": than} for tau in LAGS_H if tau != than]
     if k.columns[0].function == "link_growth":
-        return [Column("frames", "link_growth", {**args, "tau": tau}) for tau in LAGS_H]
+        return [Column("frames", "link_growth", {**args, **late}) for late in others]
+    others = [late for late in others if late["tau"] != LAGS_H[-1]]
     if len(k.columns) == 6:
         return [
-            Column("frame", "temperature", {**args, "tau": tau}, each.frame, each.component)
-            for each in k.columns for tau in LAGS_H[:-1]
+            Column("frame", "temperature", {**args, **late}, each.frame, each.component)
+            for each in k.columns for late in others
         ]  # fmt: skip
     places = dict.fromkeys(column.args["place"] for column in k.columns)  # where one side is warmer than the other: two
-    lagging = [{"place": place, "tau": tau} for place in places for tau in LAGS_H[:-1]]
+    lagging = [{"place": place, **late} for place in places for late in others]
+    along = [{"place": place, "tau": than} for place in places]
     return [
         *(_on(k, "temperature", **late) for late in lagging),
-        *(_on(k, "temperature_q", **late, joint=joint) for late in lagging),
+        *(_on(k, "temperature_q", **late, joint=joint) for late in along + lagging),
     ]
 
 

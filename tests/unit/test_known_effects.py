@@ -576,6 +576,21 @@ def test_what_a_thermometer_read_an_hour_ago_makes_unsure_where_nobody_knows() -
     assert along_y(known, around=warmer) == pytest.approx(1e-5 * np.sqrt((behind**2).mean()), rel=0.02)
 
 
+def test_what_comes_later_in_part_is_no_more_where_temperatures_are_steady() -> None:
+    """A reviewer's growth of 135 ppm per kelvin was taken out as 222: its near forms, of lags of hours, were added
+    where nobody knew what the thermometer had read before, and one of them was said to be the lag."""
+    grows = Column("frame", "temperature", {"place": "rail", "tau": 0.0}, VERTICAL + 1, TY)
+    later = Column("frame", "temperature", {"place": "rail", "tau": 2.0, "than": 0.0}, VERTICAL + 1, TY)
+    effect = Effect("thermal_growth", "vertical", (grows, later), (1e-5, 6e-6), (1e-12, 1e-12), "by hand")
+    reference = {"start": 1.7e9, "hours": HOURS, "mean.rail": 22.0}
+    known = replace(base()[1], effects=(effect,), reference=reference, visits=None)
+    compensator = Compensator(replace(known, temperature_range={"rail": (19.0, 25.0)}))
+    found = asked(compensator, around=Around(temperatures={"rail": 24.0}))
+    before = asked(Compensator(replace(known, effects=(), reference={})))
+    assert found.predicted_error[1] - before.predicted_error[1] == pytest.approx(2e-5, rel=0.01)
+    assert found.effects[0].why == ""
+
+
 def test_what_a_thermometer_read_since_an_hour_ago_is_known_where_the_program_saw_it() -> None:
     anywhere = late_growth(visits=None, temperature_range={"rail": (19.0, 25.0)})
     assert anywhere.known is not None

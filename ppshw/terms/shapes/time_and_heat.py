@@ -71,22 +71,25 @@ def settling(c: Context, visit_time: float, tau: float) -> Array:
     return np.asarray(np.where(late >= 0, np.exp(-np.maximum(late, 0.0) / tau), 0.0))
 
 
-def temperature(c: Context, place: str, tau: float) -> Array:
-    """A thermometer's temperature, lagged by `tau` (0: as it reads), above its mean."""
+def temperature(c: Context, place: str, tau: float, than: float | None = None) -> Array:
+    """A thermometer's temperature, lagged by `tau` (0: as it reads), above its mean; above itself lagged by `than`
+    instead where that is given: nothing where it has been steady for long."""
+    if than is not None:
+        return temperature(c, place, tau) - temperature(c, place, than)
     values = c.recording.temperatures[place]
     mean = c.frozen(f"mean.{place}", float(np.mean(values)))
     return c.once(("temperature", place, tau), lambda: lagged(values, c.hours, tau) - mean)
 
 
-def temperature_q(c: Context, place: str, tau: float, joint: int) -> Array:
+def temperature_q(c: Context, place: str, tau: float, joint: int, than: float | None = None) -> Array:
     """The same times a joint's position: a rail that grows along its travel."""
-    return temperature(c, place, tau) * c.u(joint)
+    return temperature(c, place, tau, than) * c.u(joint)
 
 
-def link_growth(c: Context, place: str, tau: float, joint: int) -> Array:
+def link_growth(c: Context, place: str, tau: float, joint: int, than: float | None = None) -> Array:
     """(N, n+1, 6) the link behind a joint (−1: every one) longer by a metre per metre and kelvin, towards the next
-    joint or the tip."""
-    machine, warm = c.machine, temperature(c, place, tau)[:, None]
+    joint or the tip; `than` as in `temperature`."""
+    machine, warm = c.machine, temperature(c, place, tau, than)[:, None]
     out = np.zeros((len(c.hours), machine.n + 1, 6))
     for k in range(machine.n) if joint < 0 else (joint,):
         after = machine.joints[k + 1].origin if k + 1 < machine.n else machine.tip_in_link

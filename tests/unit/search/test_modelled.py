@@ -9,6 +9,7 @@ import pytest
 
 from ppshw.calibration import load_calibration
 from ppshw.compensation import Bounds, Compensator
+from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.modelled import _theta, extended
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -77,3 +78,15 @@ def test_a_calibration_is_fitted_about_itself(space: Workspace) -> None:
     rms = [float(np.sqrt((x**2).sum() / space.recording.seen.sum())) for x in (linear, left, best)]
     assert rms[0] > 2 * rms[2]
     assert rms[1] < 1.05 * rms[2]
+
+
+def test_near_forms_of_a_growth_add_nothing_along_it_where_temperatures_are_steady(space: Workspace) -> None:
+    steady = {place: np.full_like(values, 24.0) for place, values in space.recording.temperatures.items()}
+    context = replace(space.context, recording=replace(space.recording, temperatures=steady))
+    grows = [k for k in named(space, "thermal_growth") if k.joint == "vertical"]
+    assert {k.columns[0].function for k in grows} == {"temperature", "link_growth"}
+    for candidate in grows:
+        near = near_forms(space.context, candidate, frozenset())
+        late = [k for k in near if k.args["tau"] != candidate.columns[0].args["tau"]]
+        assert late
+        assert all(not k.value(context).any() for k in late)
