@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +13,12 @@ from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.identification.plausible import far_off
 from ppshw.identification.start import align, to_base
-from ppshw.kinematics import point_positions
+from ppshw.kinematics import point_jacobian, point_positions
 from ppshw.machine import Machine
 from ppshw.quantities import called, many
 from ppshw.recording import Recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import UNNAMED, displacement, is_beyond
+from ppshw.terms.effect import UNNAMED, is_beyond
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid
@@ -32,15 +34,42 @@ def residuals(recording: Recording, calibration: Calibration, refit_base: bool =
     refit_base  the tracker was moved since: fit the measuring frame to this recording instead of the calibration's. It
                 takes six numbers from the residuals, and an error of the whole machine hides in it.
     """
-    predicted = calibration.model.predict(Situation.of(recording), calibration.theta)
+    there = predicted(calibration, recording)
+    return np.asarray(to_base(recording.points, _frame(recording, calibration, there, refit_base)) - there)
+
+
+def _frame(recording: Recording, calibration: Calibration, there: Array, refit_base: bool) -> Array:
+    return _fitted_frame(recording, there) if refit_base else calibration.measuring_in_base
+
+
+def predicted(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Array:
+    """(N, K, 3) where the targets and then other points are, by the calibration with its effects [m], base axes. A
+    reflector that moved moves itself alone."""
+    points = np.array([*calibration.model.targets(calibration.theta), *others])
+    out = calibration.model.predict(Situation.of(recording), calibration.theta, points)
     if calibration.effects:
         whole, rows = calibration.continued(recording)
-        predicted = predicted + displacement(
-            calibration.effects, calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
-            calibration.reference,
-        )[rows]  # fmt: skip
-    frame = _fitted_frame(recording, predicted) if refit_base else calibration.measuring_in_base
-    return np.asarray(to_base(recording.points, frame) - predicted)
+        context = laid_over(calibration, whole, others)
+        moved = np.zeros((len(whole), out[0].size))
+        for effect in calibration.effects:
+            for column, value in zip(effect.columns, effect.values, strict=True):
+                moved += value * column.evaluate(context)
+        out += moved[rows].reshape(out.shape)
+    return out
+
+
+def laid_over(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Context:
+    """What shapes look at, for the targets and then for other points of the end effector (T + E in all): about the
+    parameters that they were made with, which are not those beside which they are fitted."""
+    model, theta = calibration.model, calibration.laid_at
+    c = Context.of(model, theta, recording, calibration.measuring_in_base, dict(calibration.reference))
+    if not len(others):
+        return c
+    more = np.einsum("nij,pj->npi", c.tips[:, :3, :3], np.array(others)) + c.tips[:, None, :3, 3]
+    points = np.concatenate([c.points, more], axis=1)
+    errors, _ = model.errors(Situation.of(recording), theta)
+    jacobian = point_jacobian(c.chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
+    return replace(c, points=points, jacobian=jacobian)
 
 
 def _fitted_frame(recording: Recording, predicted: Array) -> Array:
@@ -64,10 +93,40 @@ def by_visit(errors: Array) -> Array:
 def nominal_residuals(recording: Recording, machine: Machine, refit_base: bool = False) -> Array:
     """The same, (N, T, 3) [m], for the ideal machine. Where the measuring frame is unknown it is fitted to this very
     recording, and so are the targets if they are: figures that flatter."""
-    frame, targets = machine.tracker.base, machine.target_array
-    if frame is None or refit_base:
-        frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
+    frame, targets = _nominal_frame(recording, machine, refit_base)
     return np.asarray(to_base(recording.points, frame) - point_positions(machine, recording.q, targets))
+
+
+def _nominal_frame(recording: Recording, machine: Machine, refit_base: bool) -> tuple[Array, Array]:
+    frame = machine.tracker.base
+    if frame is None or refit_base:
+        return align(machine, recording, targets_free=not machine.tracker.targets_known)
+    return frame, machine.target_array
+
+
+def of_points(
+    recording: Recording, machine: Machine, calibration: Calibration | None, refit_base: bool = False
+) -> dict[str, dict[str, Any]]:
+    """The same figures of every reflector at another point of the machine file that was measured, in the frames of the
+    targets: what an accuracy is wanted for is often there."""
+    names = [name for name, read in recording.extra_points.items() if np.isfinite(read).any()]
+    if not names:
+        return {}
+    places = np.array([machine.points[name] for name in names])
+    read = np.stack([recording.extra_points[name] for name in names], axis=1)
+    frame = _nominal_frame(recording, machine, refit_base)[0]
+    left = nominal = to_base(read, frame) - point_positions(machine, recording.q, places)
+    if calibration is not None:
+        there, count = predicted(calibration, recording, list(places)), len(recording.target_names)
+        frame = _frame(recording, calibration, there[:, :count], refit_base)
+        left = to_base(read, frame) - there[:, count:]
+    return {
+        name: {
+            "readings": int(np.isfinite(read[:, k]).all(axis=1).sum()), **figures(left[:, k]),
+            "nominal": figures(nominal[:, k]),
+        }
+        for k, name in enumerate(names)
+    }  # fmt: skip
 
 
 def figures(errors: Array) -> dict[str, float]:
@@ -94,7 +153,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """The contract's answer of `ppshw evaluate` (§3) of the visits with a reading, with readings and median beside it,
     the numbers of visits that no error of a machine explains, whether the calibration was identified from this very
-    recording, and how many visits lie outside what it was identified from.
+    recording, and how many visits lie outside what it was identified from. Reflectors at other points of the machine
+    file have figures of their own (`of_points`).
 
     Where it carries effects also how many visits are among its own, how many of its own this recording goes on from,
     how many are at temperatures that its effects were never measured at, and how many so long before or after that
@@ -108,6 +168,8 @@ def evaluate(
         **figures(left), "nominal": nominal,
         "far_off": (np.flatnonzero(far_off(left).any(axis=1)) + 1).tolist(),
     }  # fmt: skip
+    if points := of_points(recording, machine, calibration, refit_base):
+        answer["points"] = points
     if calibration is not None:
         answer["identified_from_it"] = recording.sha256 == calibration.provenance.get("recording_sha256")
         answer["outside"] = _outside(recording, calibration)

@@ -7,7 +7,6 @@ recording shows and replicas of its twin do not, the model does not know (`ppshw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,14 +18,13 @@ from ppshw.calibration import Calibration
 from ppshw.diagnosis.checks import Check, check
 from ppshw.diagnosis.replicas import Compared, Single, Wrong
 from ppshw.errors import CalibrationError
+from ppshw.evaluation import laid_over, predicted
 from ppshw.identification.joint import BELIEVED
 from ppshw.identification.noise import half
 from ppshw.identification.start import to_base
-from ppshw.kinematics import point_jacobian
 from ppshw.recording import Recording, Table
 from ppshw.terms import Situation
 from ppshw.terms.effect import Effect
-from ppshw.terms.shapes import Context
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -53,9 +51,9 @@ def simulate(calibration: Calibration, recording: Recording, seed: int = 0) -> T
     rng = np.random.default_rng(seed)
     names = list(recording.extra_points)
     others = [calibration.machine.points[n] for n in names]
-    context = _context(calibration, recording, others)
+    context = laid_over(calibration, recording, others)
     count, size = len(recording), context.points.shape[1]
-    ideal = _predicted(calibration, recording, others)
+    ideal = predicted(calibration, recording, others)
     everything = np.ones((count, size), dtype=bool)
     covariance = calibration.noise.covariance(context.levers(), everything, np.ones(count))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((count, 3 * size, 1)))[..., 0]
@@ -95,12 +93,12 @@ def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> li
 
 def compared(calibration: Calibration, recording: Recording) -> Compared:
     """What a calibration leaves of the visits of a recording, and how its own replicas come about."""
-    context = _context(calibration, recording)
+    context = laid_over(calibration, recording)
     count, seen = len(recording), recording.seen
     rows = np.repeat(seen, 3, axis=1)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     root = calibration.noise.whitener(context.levers(), seen)
-    gap = to_base(recording.points, calibration.measuring_in_base) - _predicted(calibration, recording)
+    gap = to_base(recording.points, calibration.measuring_in_base) - predicted(calibration, recording)
     left = (root @ np.where(rows, gap.reshape(count, -1), 0.0)[..., None])[..., 0]
     design, active = _design(calibration, recording, root)
     if recording.sha256 == calibration.provenance.get("recording_sha256"):
@@ -188,33 +186,3 @@ def _design(calibration: Calibration, recording: Recording, root: Array) -> tupl
     active = sizes > SILENT
     white = np.concatenate(parts)[:, :, active]
     return white.reshape(-1, white.shape[2]), active
-
-
-def _context(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Context:
-    """What shapes look at, for the targets and then for other points of the end effector (T + E in all): about the
-    parameters that they were made with, which are not those beside which they are fitted."""
-    model, theta = calibration.model, calibration.laid_at
-    c = Context.of(model, theta, recording, calibration.measuring_in_base, dict(calibration.reference))
-    if not len(others):
-        return c
-    more = np.einsum("nij,pj->npi", c.tips[:, :3, :3], np.array(others)) + c.tips[:, None, :3, 3]
-    points = np.concatenate([c.points, more], axis=1)
-    errors, _ = model.errors(Situation.of(recording), theta)
-    jacobian = point_jacobian(c.chain, points, errors).reshape(len(recording), -1, model.machine.n + 1, 6)
-    return replace(c, points=points, jacobian=jacobian)
-
-
-def _predicted(calibration: Calibration, recording: Recording, others: Sequence[Array] = ()) -> Array:
-    """(N, K, 3) where the targets and then other points are, by the calibration with its effects [m], base axes. A
-    reflector that moved moves itself alone."""
-    points = np.array([*calibration.model.targets(calibration.theta), *others])
-    out = calibration.model.predict(Situation.of(recording), calibration.theta, points)
-    if calibration.effects:
-        whole, rows = calibration.continued(recording)
-        context = _context(calibration, whole, others)
-        moved = np.zeros((len(whole), out[0].size))
-        for effect in calibration.effects:
-            for column, value in zip(effect.columns, effect.values, strict=True):
-                moved += value * column.evaluate(context)
-        out += moved[rows].reshape(out.shape)
-    return out

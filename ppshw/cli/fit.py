@@ -193,6 +193,9 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
     rows = [("nominal", answer["nominal"])] + ([("calibrated", answer)] if "identified_from_it" in answer else [])
     lines = [f"{many(answer['visits'], 'visit')}, {many(answer['readings'], 'reading')} [mm]", FIGURE_HEAD]
     lines += [figure_row(name, values) for name, values in rows]
+    for name, point in answer.get("points", {}).items():
+        lines.append(f"at {name}, {many(point['readings'], 'reading')}, which are in no figure above")
+        lines += [figure_row(of, point["nominal"] if of == "nominal" else point) for of, _ in rows]
     if answer["far_off"]:
         off = [v - 1 for v in answer["far_off"]]
         lines.append(f"{many(len(off), 'visit')} with a reading that no error of a machine explains, in the figures "

@@ -93,19 +93,6 @@ class Effect:
         return cls(data["effect"], data["joint"], columns, values, std, data["sentence"], correlation, mimicked)
 
 
-def displacement(
-    effects: Sequence[Effect], model: Model, theta: Array, recording: Recording, measuring_in_base: Array,
-    reference: dict[str, float],
-) -> Array:  # fmt: skip
-    """What the effects add to the targets' positions: (N, T, 3) in the base frame [m]."""
-    context = Context.of(model, theta, recording, measuring_in_base, dict(reference))
-    out = np.zeros(context.points.shape)
-    for effect in effects:
-        for column, value in zip(effect.columns, effect.values, strict=True):
-            out += value * column.evaluate(context).reshape(out.shape)
-    return out
-
-
 def instrument_error(
     effects: Sequence[Effect], model: Model, theta: Array, recording: Recording, measuring_in_base: Array,
     reference: dict[str, float], points: Array,

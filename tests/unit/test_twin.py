@@ -23,7 +23,7 @@ from ppshw.diagnosis.locate import Map, channels, gradients
 from ppshw.diagnosis.replicas import of_space
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.errors import CalibrationError, ReportError
-from ppshw.evaluation import residuals
+from ppshw.evaluation import evaluate, residuals
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import load_machine
@@ -130,6 +130,24 @@ def test_the_twin_stands_where_the_fitted_parameters_say_not_where_its_effects_w
     assert there["rms"] == pytest.approx(here["rms"], rel=0.01)
     assert np.nanstd(residuals(rig.recording, laid_elsewhere)) == pytest.approx(
         np.nanstd(residuals(rig.recording, beside)), rel=0.01
+    )
+
+
+def test_a_reflector_at_another_point_has_figures_of_its_own(rig: Rig) -> None:
+    """One that a metrologist's recording had half a metre off was in no figure, and nothing was said (a reviewer's)."""
+    everywhere = {"treatment": np.zeros((len(rig.recording), 3))}
+    read = simulate(rig.calibration, replace(rig.recording, extra_points=everywhere), 1)
+    there = replace(rig.recording, extra_points=read.extra_points)
+    found, alone = (evaluate(each, rig.calibration.machine, rig.calibration) for each in (there, rig.recording))
+    noise = float(np.sqrt(np.trace(rig.calibration.noise.pose[:3, :3])))
+    assert 0.5e3 * noise < found["points"]["treatment"]["rms_mm"] < 3e3 * noise
+    assert found["points"]["treatment"]["readings"] == len(rig.recording)
+    assert found["points"]["treatment"]["nominal"]["rms_mm"] > 1.0
+    assert "points" not in alone
+    assert {k: v for k, v in found.items() if k != "points"} == alone
+    off = replace(there, extra_points={"treatment": read.extra_points["treatment"] + [0.5, 0.0, 0.0]})
+    assert evaluate(off, rig.calibration.machine, rig.calibration)["points"]["treatment"]["rms_mm"] == pytest.approx(
+        500.0, abs=5.0
     )
 
 

@@ -20,13 +20,13 @@ from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.workspace import Workspace, prepare
-from ppshw.evaluation import evaluate, residuals
+from ppshw.evaluation import evaluate, predicted, residuals
 from ppshw.identification.joint import estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
-from ppshw.terms.effect import displacement, instrument_error
+from ppshw.terms.effect import instrument_error
 from ppshw.terms.gaussian_process import Region
 from ppshw.terms.shapes import Context
 from ppshw.terms.unexplained import unexplained_at
@@ -130,7 +130,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 
 def moves(rig: Rig, recording: Recording) -> Array:
     c = rig.calibration
-    return displacement(c.effects, c.model, c.theta, recording, c.measuring_in_base, c.reference)
+    return predicted(c, recording) - predicted(replace(c, effects=()), recording)
 
 
 def context(rig: Rig, recording: Recording) -> Context:
