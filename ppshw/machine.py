@@ -248,6 +248,8 @@ def doubts(machine: Machine) -> list[str]:
         if (turns := (high - low) / (2 * math.pi)) > MOST_TURNS:
             said.append(f"joint '{joint.name}': {low:g} … {high:g} rad is {turns:.1f} turns; are these degrees?")
     said += [f"{what} of {size:g} m; are these millimetres?" for what, size in _lengths(machine) if size > MOST_LONG]
+    if "tip" in {**machine.points, **machine.targets}:
+        said.append("a point is called 'tip': --point tip, and no --point, mean that point, not the end-effector frame")
     g = float(np.linalg.norm(machine.gravity))
     if g and not EARTH_G[0] <= g <= EARTH_G[1]:
         said.append(f"gravity is {g:.3g} m/s², expected {EARTH_G[0]} to {EARTH_G[1]}")

@@ -223,7 +223,7 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
         q=q,
         q_cmd=q_cmd,
         approach=_approach(cells, machine, q_cmd),
-        settle_s=cells.numbers("settle_s", fallback=unknown) if "settle_s" in cells else unknown,
+        settle_s=cells.duration("settle_s") if "settle_s" in cells else unknown,
         wrench=wrench,
         points=points,
         extra_points=extra_points,
@@ -235,7 +235,7 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
         copies=tuple(copies.tolist()),
         spikes=spikes,
         misspelt=_misspelt(cells.names, machine),
-        load_age_s=cells.numbers(LOAD_AGE, fallback=unknown) if LOAD_AGE in cells else None,
+        load_age_s=cells.duration(LOAD_AGE) if LOAD_AGE in cells else None,
     )
 
 
@@ -420,6 +420,13 @@ class _Cells:
             if not abs(out[row]) <= largest:
                 may_be_empty = "" if fallback is None else ", or an empty cell where there is none"
                 self.fail(row, name, f"'{text}' is no finite number below {largest:g}{unit}{may_be_empty}")
+        return out
+
+    def duration(self, name: str) -> Array:
+        """[s], nan where a cell is empty."""
+        out = self.numbers(name, fallback=np.full(len(self), math.nan))
+        for row in np.flatnonzero(out < 0.0)[:1]:
+            self.fail(int(row), name, f"{out[row]:g} s, expected a time of 0 or more")
         return out
 
     def temperature(self, name: str) -> Array:

@@ -7,6 +7,7 @@ nobody read is an error, because it is a typing mistake far more often than a wi
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -19,6 +20,8 @@ from ppshw.errors import BadInput
 REQUIRED: Any = object()
 # Nothing in these files is larger than a time of day in seconds; beyond, squares of lengths would overflow.
 LARGEST = 1e12
+NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+OTHER_BASE = re.compile(r"[_:]|^[-+]?0[0-7]+$")
 NOTHING = "tag:yaml.org,2002:null"  # what stands for an optional key that is not there
 
 
@@ -66,6 +69,7 @@ class Section:
         node = self._take(key, default is not REQUIRED, "a whole number")
         if node is None:
             return default
+        self._refuse_other_bases(node, key)
         value = _construct(node)
         if not isinstance(value, int) or isinstance(value, bool):
             self._fail(node, f"'{self._path(key)}' is {_show(value)}, expected a whole number")
@@ -171,7 +175,16 @@ class Section:
             self._fail(node, f"'{where}' is {_show(_construct(node))}, expected a mapping")
         return Section(node, self._file, where, self._error)
 
+    def _refuse_other_bases(self, node: yaml.Node, key: str) -> None:
+        """YAML 1.1 reads 012 as ten, 1:30 as ninety and 1_000 as a thousand."""
+        if isinstance(node, yaml.ScalarNode) and node.tag in NUMBERS and OTHER_BASE.search(node.value):
+            value = _construct(node)
+            self._fail(
+                node, f"'{self._path(key)}' has {node.value}, which YAML reads as {value}, expected a plain number"
+            )
+
     def _as_number(self, node: yaml.Node, key: str) -> float:
+        self._refuse_other_bases(node, key)
         value = _construct(node)
         if isinstance(value, str):  # YAML 1.1 reads 2e-5 as a text
             try:

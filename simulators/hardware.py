@@ -92,6 +92,7 @@ class SimulatedHardware:
     """Use as a context manager.
 
     folder         where the thermometers' file is written
+    thermometers   its name: one for each hall
     force_protocol "bota" | "gsv8"
     repeatability  [m] instead of the machine file's
     fitted         reflectors mounted; by default all there is a place for, `treatment` too
@@ -111,9 +112,10 @@ class SimulatedHardware:
         fitted: Sequence[str] | None = None,
         instrument_clock: InstrumentClock | None = None,
         concealed: ToConceal | None = None,
+        thermometers: str = "temperatures.json",
     ) -> None:
         self.machine_file = Path(machine_file).resolve()
-        self.folder = Path(folder).resolve()
+        self._thermometer_file = Path(folder).resolve() / thermometers
         self.clock = clock
         self.seed = seed
         self.force_protocol = force_protocol
@@ -221,10 +223,6 @@ class SimulatedHardware:
         return Path(path)
 
     # --- the hall ------------------------------------------------------------------------------------------
-    @property
-    def _thermometer_file(self) -> Path:
-        return self.folder / "temperatures.json"
-
     def _air(self) -> tuple[float, float, float]:
         return self.live.temperatures()["air"], AIR_PRESSURE_HPA, AIR_HUMIDITY_PCT
 

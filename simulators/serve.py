@@ -86,7 +86,7 @@ def serving(
         hardware = stack.enter_context(
             SimulatedHardware(
                 machine_file, clock, site_out.parent, seed=seed, force_protocol=force_protocol,
-                instrument_clock=RealTime(),
+                instrument_clock=RealTime(), thermometers=f"{site_out.stem}.temperatures.json",
             )
         )  # fmt: skip
         gateway = stack.enter_context(SlcanGateway(hardware.channel))

@@ -12,7 +12,7 @@ from ppshw.cli.diagnosing import diagnose, report, twin
 from ppshw.cli.fit import evaluate, identify
 from ppshw.cli.planning import plan
 from ppshw.cli.recordings import export, import_
-from ppshw.cli.setpoints import compensate, move
+from ppshw.cli.setpoints import NO_LOAD, compensate, move
 from ppshw.cli.simulated import demo, simulate
 from ppshw.cli.site import check, run
 from ppshw.cli.studies import prove, study
@@ -158,7 +158,7 @@ def _setpoints(add: Add) -> None:
                             help="of the point, in the base frame [m, rad]")  # fmt: skip
         wanted.add_argument("--joints", nargs="+", metavar="Q1 … QN",
                             help="instead: the pose that the ideal machine has there [m, rad]")  # fmt: skip
-        p.add_argument("--wrench", nargs="+", default=["0 0 0 0 0 0"], metavar="FX FY FZ MX MY MZ",
+        p.add_argument("--wrench", nargs="+", default=NO_LOAD, metavar="FX FY FZ MX MY MZ",
                        help="payload on the sensor at that pose, sensor frame [N, N m] (default: none)")  # fmt: skip
         p.add_argument("--point", default="tip", help="tip, or a point or target of the machine file (default: tip)")
         p.add_argument("--near", nargs="+", metavar="Q1 … QN",

@@ -14,6 +14,7 @@ from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
 
+NO_LOAD = ["0 0 0 0 0 0"]  # where --wrench is not given
 MOST_TURNED = 2 * np.pi  # an angle of a pose [rad], before it looks like degrees
 
 
@@ -56,9 +57,11 @@ def _compensator(a: argparse.Namespace) -> tuple[Any, list[str]]:
     has no use for."""
     from ppshw.calibration import load_calibration
     from ppshw.compensation import Compensator
+    from ppshw.machine import doubts
 
-    calibration = load_calibration(a.calibration, machine_of(a))
-    warnings = calibration.doubts()
+    machine = machine_of(a)
+    calibration = load_calibration(a.calibration, machine)
+    warnings = doubts(machine) + calibration.doubts()
     if a.loaded_for is not None and not any(effect.name == "creep" for effect in calibration.effects):
         warnings.append("--loaded-for: no effect here goes with the age of a load, it changes nothing")
     felt = {place for effect in calibration.effects for place in effect.places}
@@ -130,7 +133,7 @@ def _corrected(
         answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}
         stay = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
         lines.append(f"{a.point}: {stay}, which {many(machine.n, 'joint')} cannot put right")
-    if not payload.any():
+    if a.wrench is NO_LOAD:
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
     return answer, folded(lines)

@@ -70,6 +70,10 @@ FILES: dict[str, tuple[Spoil, str]] = {
 ONE_JOINT = "  - {name: NAME, type: revolute, axis: [0, 0, 1]}\n"
 MACHINES: dict[str, tuple[Spoil, str]] = {
     "a key is missing": (swap("gravity: [0, 0, -9.80665]\n", ""), "machine.yaml:1: missing key 'gravity'"),
+    "a number as programmers write eight": (swap("P1: [0.3,", "P1: [010,"),
+                                            "has 010, which YAML reads as 8, expected a plain number"),
+    "a number as clocks write ninety": (swap("P1: [0.3,", "P1: [1:30,"), "has 1:30, which YAML reads as 90, expected a"),
+    "a number in groups": (swap("P1: [0.3,", "P1: [1_000,"), "has 1_000, which YAML reads as 1000, expected a plain"),
     "a joint has no name": (swap("  - name: rail\n    type", "  - type"), ":4: missing key 'joints[0].name'"),
     "no targets": (swap("  targets: {P1: [0.3, 0, 0], P2: [-0.2, 0.2, 0], P3: [-0.2, -0.2, 0.05]}\n", ""),
                    "missing key 'tip.targets' (expected a mapping)"),
@@ -231,6 +235,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "a zero byte": (cell(9, "load", "\0"), ":9: a zero byte, expected text"),
     "only a header": (lambda p: put(p.read_text().split("\n")[0] + "\n")(p), "a header but no visit"),
     "a point's column missing": (swap("P3_x,P3_y,P3_z", "treatment_y,treatment_z,cov_x"), "treatment_x is missing"),
+    "a time before the end of the motion": (cell(9, "settle_s", "-3"), ":9: column settle_s: -3 s, expected a time of 0"),
     "all targets lost": (column("P", ""), "not one target was measured: every cell of P1, P2, P3 is empty"),
     "another machine's": (swap("_turn", "_yaw", 99), "is this a recording of machine 'cell'?"),
     **FILES,

@@ -277,6 +277,8 @@ def test_readings_that_are_gross_at_most_visits_are_no_single_ones(tmp_path: Pat
         (lambda m: replace(m, tracker=replace(m.tracker, position_sigma=0.02)), "position_sigma is 0.02 m: are these"),
         (lambda m: replace(m, sensor_in_link=np.array([[1, 0, 0, 0], [0, 1, 0, 30], [0, 0, 1, 0], [0, 0, 0, 1.0]])),
          "the origin of force_sensor is 30 m off its frame"),
+        (lambda m: replace(m, points={**m.points, "tip": np.array([0.0, 0.0, 0.5])}),
+         "a point is called 'tip': --point tip, and no --point, mean that point, not the end-effector frame"),
     ],
 )  # fmt: skip
 def test_what_a_machine_file_can_hardly_mean_is_asked(
