@@ -16,15 +16,20 @@ CREEP_H = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 SLOWER = 3  # steps of that grid from a fast creep to the slow one beside it: eight times
 MUCH, MOST_ELEMENTS = 0.03, 18  # of a link's compliance: beside the largest, and how many
 ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions under one component of the load
+NOBODY_SAYS = {""}  # which load it is
+FOLLOWS = ("wrench", "total")  # what acts, whatever it is called
 ALONG = ("exponential", "log", "wrench", "total")
 
 
 def creeping(c: Context) -> Iterator[Candidate]:
-    if len(set(c.recording.load)) < 2:
+    labels = set(c.recording.load)
+    if len(labels) < 2 and labels != NOBODY_SAYS:
         return
     forms: tuple[tuple[str, float], ...] = (
         ("exponential", 1.0), ("log", 1.0), ("last", 0.5), ("wrench", 0.5), ("total", 0.5)
     )  # fmt: skip
+    if labels == NOBODY_SAYS:  # when a load came its weight tells as well
+        forms = tuple(form for form in forms if form[0] in FOLLOWS)
     if not c.recording.has_wrench:  # the machine's own weight is all that is known
         forms = forms[-1:]
     # alone, or beside one that creeps on where it has come to rest, as in load cells
@@ -51,9 +56,9 @@ def creeping(c: Context) -> Iterator[Candidate]:
                     where |= {"tau": taus[0]}
                     any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
                     yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
-            if len(taus) == 1 and form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
-                of = {"frame": frame, "form": form, "tau": taus[0]}
-                along = tuple(Column("frame", "creeping", {**of, "component": b}, frame, b) for b in acting)
+            if form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
+                of = [{"frame": frame, "form": form, "tau": tau} for tau in taus]
+                along = tuple(Column("frame", "creeping", {**o, "component": b}, frame, b) for o in of for b in acting)
                 yield Candidate("creep", name, name, None, "since_load_change", along, shape, half)
             if len(taus) == 1 and form in ANY_WAY and len(elements := much_of_it(c, frame, acting)) > 1:
                 of = {"frame": frame, "form": form, "tau": taus[0]}
