@@ -56,9 +56,9 @@ def creeping(c: Context) -> Iterator[Candidate]:
                     where |= {"tau": taus[0]}
                     any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
                     yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
-            if form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
-                of = [{"frame": frame, "form": form, "tau": tau} for tau in taus]
-                along = tuple(Column("frame", "creeping", {**o, "component": b}, frame, b) for o in of for b in acting)
+            if len(taus) == 1 and form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
+                of = {"frame": frame, "form": form, "tau": taus[0]}
+                along = tuple(Column("frame", "creeping", {**of, "component": b}, frame, b) for b in acting)
                 yield Candidate("creep", name, name, None, "since_load_change", along, shape, half)
             if len(taus) == 1 and form in ANY_WAY and len(elements := much_of_it(c, frame, acting)) > 1:
                 of = {"frame": frame, "form": form, "tau": taus[0]}

@@ -357,6 +357,25 @@ def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one
     assert {"compliance_rx_by_Mx", "compliance_rz_by_Mz"} <= set(told)
 
 
+def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspace) -> None:
+    """Creep was not thought of without a column load: another author's arm had structure over a moment, and scatter."""
+    nobody = replace(space.recording, load=("",) * len(space.recording))
+    c = replace(space.context, recording=nobody)
+    moment = c.wrenches[:, k := space.machine.joint_names.index("longitudinal") + 1, 3]
+    followed = np.full(len(moment), moment[0])  # a spring and a dashpot, after long rest, stepped as time goes
+    for n in range(1, len(followed)):
+        step, follows = (c.hours[n] - c.hours[n - 1]) / 200, followed[n - 1]
+        for _ in range(200):
+            follows += step / 0.3 * (moment[n - 1] - follows)
+        followed[n] = follows
+    moved = c.jacobian[:, :, k, 3] * (moment - followed)[:, None]
+    moved *= 3e-4 / np.sqrt((moved**2).sum() / nobody.seen.sum())
+    there = replace(space, recording=nobody, context=c, data=space.data + moved)
+    found, tried = look(there, ["creep", "drift", "nonlinear_stiffness"])
+    assert [f.name for f in found] == [("creep", "longitudinal")]
+    assert best_of(tried, found[0]).columns[0].args["form"] in ("wrench", "total")
+
+
 def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
     k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
     followed = np.zeros(len(c.hours))  # a spring and a dashpot, from rest, stepped as time goes
