@@ -178,10 +178,8 @@ class Section:
     def _refuse_other_bases(self, node: yaml.Node, key: str) -> None:
         """YAML 1.1 reads 012 as ten, 1:30 as ninety and 1_000 as a thousand."""
         if isinstance(node, yaml.ScalarNode) and node.tag in NUMBERS and OTHER_BASE.search(node.value):
-            value = _construct(node)
-            self._fail(
-                node, f"'{self._path(key)}' has {node.value}, which YAML reads as {value}, expected a plain number"
-            )
+            read = f"{node.value[:60]}, which YAML reads as {_show(_construct(node))}"
+            self._fail(node, f"'{self._path(key)}' has {read}, expected a plain number")
 
     def _as_number(self, node: yaml.Node, key: str) -> float:
         self._refuse_other_bases(node, key)
