@@ -83,7 +83,7 @@ def _doubts_before(machine: Any, recording: Any) -> list[str]:
     if not np.isfinite(recording.time).all():
         out.append("no column time: what goes with time is said in hours at 40 visits an hour")
     if recording.has_wrench and not any(recording.load):
-        out.append("no column load: what goes on after a load was changed is not looked for")
+        out.append("no column load: when one was changed is known by what the force sensor read alone")
     if not recording.has_wrench and not any(recording.load):
         out.append("no column load and no wrench: a load that was changed looks like a zero that jumped")
     return out
