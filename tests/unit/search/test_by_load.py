@@ -9,6 +9,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
@@ -333,19 +334,27 @@ def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -
     assert numbers_of(space.context, pushed, np.ones(1), np.eye(1))["compliance"]["unit"] == "m/N"
 
 
+def followed(
+    load: NDArray[np.float64], hours: NDArray[np.float64], tau: float, begins: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """What a spring and a dashpot of a time constant [h] have followed of a load (N, ...), from where it begins,
+    stepped as time goes."""
+    out = np.zeros_like(load)
+    out[0] = follows = begins
+    for n in range(1, len(out)):
+        step = (hours[n] - hours[n - 1]) / 200
+        for _ in range(200):
+            follows = follows + step / tau * (load[n - 1] - follows)
+        out[n] = follows
+    return out
+
+
 def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one_finding(space: Workspace) -> None:
     """Another author's positioner had creep of two rails, and a drift (0.86 and 0.53): of the one that creeps the base
     calibration had little compliance, so that no share of what it has was like it."""
     k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
     moments = c.wrenches[:, k, [3, 5]]
-    followed = np.zeros_like(moments)  # a spring and a dashpot, after long rest, stepped as time goes
-    followed[0] = moments[0]
-    for n in range(1, len(followed)):
-        step, follows = (c.hours[n] - c.hours[n - 1]) / 200, followed[n - 1]
-        for _ in range(200):
-            follows = follows + step / 0.3 * (moments[n - 1] - follows)
-        followed[n] = follows
-    late = (moments - followed) * np.array([2.0, -1.0]) / moments.std(axis=0)
+    late = (moments - followed(moments, c.hours, 0.3, moments[0])) * np.array([2.0, -1.0]) / moments.std(axis=0)
     moved = np.einsum("nrc,nc->nr", c.jacobian[:, :, k, [3, 5]], late)
     moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "moving_weight"])
@@ -362,13 +371,7 @@ def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspa
     nobody = replace(space.recording, load=("",) * len(space.recording))
     c = replace(space.context, recording=nobody)
     moment = c.wrenches[:, k := space.machine.joint_names.index("longitudinal") + 1, 3]
-    followed = np.full(len(moment), moment[0])  # a spring and a dashpot, after long rest, stepped as time goes
-    for n in range(1, len(followed)):
-        step, follows = (c.hours[n] - c.hours[n - 1]) / 200, followed[n - 1]
-        for _ in range(200):
-            follows += step / 0.3 * (moment[n - 1] - follows)
-        followed[n] = follows
-    moved = c.jacobian[:, :, k, 3] * (moment - followed)[:, None]
+    moved = c.jacobian[:, :, k, 3] * (moment - followed(moment, c.hours, 0.3, moment[0]))[:, None]
     moved *= 3e-4 / np.sqrt((moved**2).sum() / nobody.seen.sum())
     there = replace(space, recording=nobody, context=c, data=space.data + moved)
     found, tried = look(there, ["creep", "drift", "nonlinear_stiffness"])
@@ -378,14 +381,8 @@ def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspa
 
 def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
     k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
-    followed = np.zeros(len(c.hours))  # a spring and a dashpot, from rest, stepped as time goes
-    for n in range(1, len(followed)):
-        step = (c.hours[n] - c.hours[n - 1]) / 200
-        follows = followed[n - 1]
-        for _ in range(200):
-            follows += step / 0.4 * (c.wrenches[n - 1, k, 3] - follows)
-        followed[n] = follows
-    moved = c.jacobian[:, :, k, 3] * (c.wrenches[:, k, 3] - followed)[:, None]
+    moment = c.wrenches[:, k, 3]
+    moved = c.jacobian[:, :, k, 3] * (moment - followed(moment, c.hours, 0.4, 0.0))[:, None]
     moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "zero_shift"])
     assert [f.name[0] for f in found] == ["creep"]
