@@ -84,6 +84,12 @@ def test_check_says_who_every_device_is(hall: Path) -> None:
     assert all(device["serial"] for device in found["devices"][:-1])
 
 
+def test_a_simulated_hall_has_files_of_its_own_name(hall: Path) -> None:
+    """Two halls may stand in one folder."""
+    assert f"path: {hall / 'site.temperatures.json'}\n" in (hall / "site.yaml").read_text(encoding="utf-8")
+    assert sorted(p.name for p in hall.glob("*temperatures*")) == ["site.temperatures.json"]
+
+
 def test_a_run_completes_and_once_more_has_nothing_left_to_do(hall: Path) -> None:
     words = ["run", "4.yaml", "--site", "site.yaml", "--out", "done.db", "--json"]
     found = run(hall, *words)
@@ -239,3 +245,20 @@ def test_a_tripped_drive_is_acknowledged_only_on_the_operator_s_word(rig: Rig, m
         assert one_line(said.err)
         assert "yaw: drive fault 0x8611, following error" in said.err
     assert json.loads(ppshw(*words, "--reset-faults").out)["done"] == 12
+
+
+def test_a_corrected_run_goes_on_though_no_beam_was_ever_seen(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it did so far says from where the axes came, whatever was seen of it."""
+    monkeypatch.setattr("campaigns.site.open_bench", lambda site: open_bench(site, rig.clock, rig.hardware.ports))
+    monkeypatch.setattr("campaigns.site.Site.make_operator", lambda site: rig.operator)
+    calibrate(rig.folder, "cal.json")
+    loaded = SCRIPT.replace("{name: empty, mass: 0}, ", "").replace("COUNT", "4") + "on_lost_beam: skip\n"
+    (rig.folder / "loaded.yaml").write_text(loaded, encoding="utf-8")
+    words = ["run", rig.folder / "loaded.yaml", "--site", rig.folder / "site.yaml", "--out", rig.out, "--json"]
+    words += ["--calibration", rig.folder / "cal.json"]
+    rig.hardware.tracker.lose_beam()
+    FaultSchedule(rig.hardware, [Fault("yaw", "trip", 0x8611, at_s=32.0)])
+    assert "yaw: drive fault 0x8611" in ppshw(*words).err
+    assert 0 < measured(rig.out) < 4
+    found = json.loads(ppshw(*words, "--reset-faults").out)
+    assert (found["done"], found["lost_beams"]) == (4, 3 * found["measured"])
