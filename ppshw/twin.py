@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
 
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.checks import Check, check
 from ppshw.diagnosis.replicas import Compared, Single, Wrong
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import laid_over, predicted
-from ppshw.identification.joint import BELIEVED
+from ppshw.identification.joint import believed_to
 from ppshw.identification.noise import half
 from ppshw.identification.start import to_base
 from ppshw.recording import Recording, Table
@@ -123,7 +122,7 @@ def _to_the_end(left: Array, design: Single, values: Array, prior: Array, freedo
     noise, which in directions that it takes nearly whole is more than any replica leaves (`travel` of 22 beside
     3.6)."""
     double = design.astype(float)
-    weight = np.minimum(1.0, chi2.ppf(BELIEVED, freedom) / np.maximum((left**2).sum(axis=1), 1e-12))
+    weight = np.minimum(1.0, believed_to(freedom) / np.maximum((left**2).sum(axis=1), 1e-12))
     weighed = double * np.repeat(weight, left.shape[1])[:, None]
     hessian = weighed.T @ double + np.diag(1.0 / prior**2)
     step = cho_solve(cho_factor(hessian, lower=True), weighed.T @ left.ravel() - values / prior**2)

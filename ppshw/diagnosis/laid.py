@@ -30,7 +30,6 @@ BLOCK = 512  # columns at a time in double precision
 FIELDS = 32  # of those that are not on one component of a frame
 MOST_THREADS = 4  # each holds a part of its own
 NOWHERE = -1
-NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 
 
 class Laid:
@@ -43,12 +42,7 @@ class Laid:
 
     def __init__(self, space: Workspace, columns: Sequence[Column]) -> None:
         self.space = space
-        scaled = space.white * space.prior
-        lengths, turn = np.linalg.eigh(scaled.T @ scaled)
-        some = lengths > NOTHING  # few visits tell fewer directions of the base model than it has parameters
-        self.lengths, self.turn = lengths[some], turn[:, some]
-        self.absorbing = scaled @ self.turn
-        del scaled
+        self.absorbing, self.lengths, self.turn = space.directions
         fit, rows = int(space.fit.sum()), space.rows
         self.scale = np.empty(len(columns))
         self._place = np.empty(len(columns), dtype=np.int64)  # rows are sorted by where they act

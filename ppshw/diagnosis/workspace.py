@@ -48,6 +48,7 @@ CAUTION_ELASTIC = 20.0
 # (judgements): without, two of seed 54 that had been moved by 83 and 168 µm were three that are known to 40 µm.
 KNOWN_TO, A_STEP = (5e-6, 10e-6, 20e-6, 40e-6), 1.0
 MOVED, ONE_MOVED = (6e-5, 2e-4, 1e-3), 3.0
+NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 A_SCALE, NO_SCALE = 3e-5, 1e-12  # of the instrument: stretches what is between three reflectors alike
 # Machined guides and bearings err slowly along their travel. A joint whose finest waves (four to seven of them over the
 # travel) are so many times the median joint's has something there that is no geometry: it is not to be absorbed. Nor
@@ -153,6 +154,15 @@ class Workspace:
     def absorb(self, white: Array) -> Array:
         """P Z: whitened columns (F·3T, k) less what the base model takes of them."""
         return np.asarray(white - self.white @ cho_solve(self.factor, self.white.T @ white))
+
+    @cached_property
+    def directions(self) -> tuple[Array, Array, Array]:
+        """A (F·3T, a), s² (a,) and W (p, a) of the base model's columns at their prior standard deviations, whitened:
+        A = X Λ½ W with orthogonal columns of squared lengths s², of the a directions that take up anything."""
+        scaled = self.white * self.prior
+        lengths, turn = np.linalg.eigh(scaled.T @ scaled)
+        some = lengths > NOTHING  # few visits tell fewer directions of the base model than it has parameters
+        return scaled @ turn[:, some], lengths[some], turn[:, some]
 
     @cached_property
     def kept(self) -> Array:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from ppshw.errors import IdentificationFailed
 from ppshw.identification.judgement import Judgement, level
@@ -135,7 +135,7 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
     """Strengths, noise, outliers and θ₀, in turn until nothing moves; `state` holds them."""
     groups, first = task.groups, lines(task.model)
     seen = task.recording.seen[task.which]
-    rank, believed = pose_rank(seen), chi2.ppf(BELIEVED, 3 * seen.sum(axis=1))
+    rank, believed = pose_rank(seen), believed_to(3 * seen.sum(axis=1))
     linear = task.linearised(state)
     for turn in range(rounds):
         if progress:
@@ -178,7 +178,7 @@ def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask
     freedom = 3 * task.recording.seen.sum(axis=1)
     for block in linear:  # at θ₀ itself; the model's own uncertainty is small beside so many visits
         distance = np.maximum(block.distance(state.noise), 1e-12)
-        state.weights[block.visits] = np.minimum(1.0, chi2.ppf(BELIEVED, freedom[block.visits]) / distance)
+        state.weights[block.visits] = np.minimum(1.0, believed_to(freedom[block.visits]) / distance)
     gram, moment, _ = linear.normal_equations(state.noise, state.weights, kept)
     state.variances, posterior = learn(gram, moment, task.groups, kept, state.variances, STRENGTH_STEPS)
     state.theta = np.zeros(len(kept))
@@ -190,6 +190,12 @@ def lines(model: Model) -> Mask:
     """(p,) constants, slopes, compliances, targets: what a first solution needs."""
     groups = [parts_of(p.group) for p in model.parameters()]
     return np.array([parts[0] != "own" and not parts[-1].startswith("band") for parts in groups])
+
+
+def believed_to(coordinates: NDArray[np.int64]) -> Array:
+    """Squared distance, in units of the noise, up to which a visit of so many coordinates is believed in full: the
+    quantile BELIEVED of χ²."""
+    return np.asarray(2.0 * gammaincinv(0.5 * coordinates, BELIEVED))
 
 
 def believable(weights: Array) -> Index:

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 
 from ppshw.errors import BadInput, PpshwError
-from ppshw.prove.page import write_page
 from ppshw.prove.score import Json, SealBroken, judge, open_seal, read_answer, score_case
 from ppshw.prove.table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
@@ -151,6 +150,8 @@ def run_prove(
                 lost[spec.name] = str(exc)
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
     # an earlier program, whose scores are taken up, may have judged by other rules
+    from ppshw.prove.page import write_page  # pictures: no worker draws one
+
     scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
     write_text(out / "prove.json", json.dumps(document, indent=1))

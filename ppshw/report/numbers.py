@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.evaluation import by_visit, figures, residuals
-from ppshw.identification.joint import BELIEVED, SET_ASIDE
+from ppshw.identification.joint import SET_ASIDE, believed_to
 from ppshw.recording import Recording
 from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
@@ -209,5 +208,5 @@ def _outliers(recording: Recording, calibration: Calibration, errors: Array) -> 
         residual = np.where(mask, errors[rows].reshape(count, width), 0.0)
         distance = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
         freedom = np.maximum(mask.sum(axis=1), 1)
-        out[rows] = SET_ASIDE * distance >= chi2.ppf(BELIEVED, freedom)
+        out[rows] = SET_ASIDE * distance >= believed_to(freedom)
     return out
