@@ -192,7 +192,7 @@ def lines(model: Model) -> Mask:
     return np.array([parts[0] != "own" and not parts[-1].startswith("band") for parts in groups])
 
 
-def believed_to(coordinates: NDArray[np.int64]) -> Array:
+def believed_to(coordinates: Array | Index) -> Array:
     """Squared distance, in units of the noise, up to which a visit of so many coordinates is believed in full: the
     quantile BELIEVED of χ²."""
     return np.asarray(2.0 * gammaincinv(0.5 * coordinates, BELIEVED))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from ppshw.diagnosis import columns as asked
 from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
 from ppshw.errors import RecordingError
 from ppshw.machine import WRENCH_COMPONENTS, Machine, load_machine
@@ -20,6 +23,26 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     make_case(11, request.param, "null", 0.0, out, tmp_path_factory.mktemp("sealed"), 200, 200)
     machine = load_machine(out / "machine.yaml")
     return machine, load_recording(out / "recording.csv", machine)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_base_model_once() -> Iterator[None]:
+    """Most tests end with the same sound recording, of which the sign of the moments is asked by two fits."""
+    known: dict[tuple[object, ...], NDArray[np.float64]] = {}
+    left = asked._left
+
+    def once(
+        machine: Machine, recording: Recording, fit_to: Callable[..., asked.Estimate] = asked._plainly
+    ) -> NDArray[np.float64]:
+        arrays = recording.q, recording.points, recording.wrench, recording.time
+        key = (machine.sha256, fit_to, *(array.tobytes() for array in arrays))
+        if key not in known:
+            known[key] = left(machine, recording, fit_to)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asked, "_left", once)
+        yield
 
 
 def test_a_sound_recording_has_no_mistakes(case: tuple[Machine, Recording]) -> None:
