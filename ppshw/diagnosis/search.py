@@ -14,6 +14,7 @@ from ppshw.diagnosis.evidence import (
     FURTHER,
     LEAST_FIRST,
     LEAST_FURTHER,
+    MORE,
     Name,
     Tried,
     corrected_residual,
@@ -195,7 +196,8 @@ def _greedy(
         if evidence < (LEAST_FURTHER if found else LEAST_FIRST):
             break
         p = math.nan if rng is None else p_value(evidence, tried.null(corrected_residual(space), rng, evidence))
-        if p > (FURTHER if found else FIRST):
+        again = tried.name(best) in [f.name for f in found]
+        if p > (MORE if again else FURTHER if found else FIRST):
             break
         caster = caster_of(tried, best, evidence, found)
         if caster is not None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ppshw.diagnosis.evidence import DRAWS, FURTHER, Tried, p_value
+from ppshw.diagnosis.evidence import DRAWS, Tried, p_value
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.workspace import Workspace
 
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 # Standard deviations from none: in 8 clean recordings of independent noise at most 1.5, of noise correlated by 0.35 6.6
 # and more (seeds 81001 to 81008).
 REMEMBERS = 3.5
+BESIDE_MEMORY = 1e-3  # p of a finding beside noise that remembers
 TRIED = np.arange(0.0, 0.9, 0.1)  # correlations that noise of the model's own is given
 OF_NONE, OF_EACH = 100, 20  # draws of each
 
@@ -103,7 +104,7 @@ def drop_what_noise_may_be(space: Workspace, tried: Tried, found: list[Found], r
         # what was taken up has some of the noise's own slow part, what was not may be none of it: between the two
         between = 0.5 * (after + noise.correlation(space, rng))
         p = p_value(said, tried.greatest(noise.draws(between, DRAWS, rng)))
-        if p > FURTHER:
+        if p > BESIDE_MEMORY:
             found.remove(f)
         else:
             f.p = max(f.p, p)
