@@ -2,7 +2,7 @@
 
 Named findings always. Structure without a name as a Gaussian process, where that makes the held-out visits better and
 where it is no matter of time, which does not come again; so too what a named finding's form leaves over a column. What
-goes on with time alone is carried as it was, held at its end, where that makes the held-out visits better.
+goes on with time alone is carried as it was, beyond its end as `clock` says, where that makes held-out visits better.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def _held_words(space: Workspace, candidate: Candidate, f: Found) -> dict[str, A
         "region": {"time": [float(hours[0]), float(hours[-1])]},
         "log_evidence": f.evidence,
         "sentence": "what depends on time is carried without a name, as it was, and held where it was at the end; "
-        "waves of one period are left out there.",
+        "waves fade from there on, those of one period are left out.",
     }  # fmt: skip
 
 

@@ -231,7 +231,8 @@ def _rows_of_unnamed(diagnosis: Diagnosis, candidate: Candidate) -> list[tuple[s
     columns = {column for column, _ in by}
     for c in diagnosis.answer.get("corrections", []):
         if columns & set(c["covariates"]):
-            how = f"a Gaussian process of {' and '.join(c['length'])}" if c["length"] else "it was, held at its end"
+            process = f"a Gaussian process of {' and '.join(c['length'])}"
+            how = process if c["length"] else "it was; its waves fade beyond the end"
             where = " ".join(filter(None, (c["frame"], ", ".join(c["components"]))))
             rows.append(("carried as", f"{how}: {where}"))
     return rows if len(rows) > 1 else [*rows, ("carried", "not by a calibration")]

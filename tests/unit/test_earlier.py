@@ -180,6 +180,17 @@ def test_a_turn_that_was_seen_for_half_an_hour_is_carried_on_for_another() -> No
     np.testing.assert_allclose(clock(c, "until", 1.5), [0.5, 1.4, 1.5, 1.5, 1.5, 1.5], atol=1e-9)
 
 
+def test_what_wandered_is_forgotten_as_fast_as_it_changed() -> None:
+    """Held where it was at the end, a base that wandered made 150 later visits 0.165 mm of 0.126 (sealed 60040)."""
+    radian = 2.0 / (3.0 * np.pi)  # of three half waves over two hours
+    hours = np.array([-radian, 0.0, 2.0 / 3.0, 2.0, 2.0 + radian, 2.0 + 2.0 * radian])
+    visits = replace(later().subset(np.arange(6)), time=whole().time[0] + hours * HOUR)
+    frozen = {"start": float(whole().time[0]), "hours": 2.0}
+    c = Context.of(base().model, base().theta, visits, base().measuring_in_base, frozen)
+    once, twice = 0.36787944, 0.13533528  # 1/e, 1/e²
+    np.testing.assert_allclose(clock(c, "cosine", 3), [once, 1.0, -1.0, -1.0, -once, -twice], atol=1e-7)
+
+
 def test_what_runs_on_is_said_to_where_no_time_is_known() -> None:
     untimed = replace(later().subset(np.array([30])), time=np.array([np.nan]))
     assert evaluate(untimed, base().machine, running_on())["untimed"] == ["drift"]

@@ -22,7 +22,8 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
 
     form  "linear" [h], "exponential" 1 − e^(−t/τ) and "log" ln(1 + t/τ), both 0 before the start; "step" 1 and "ramp"
           t − τ from τ on, "until" t up to τ: both carried on for as long again as they were seen; "cosine" of τ half
-          waves over the recording, held where it was at its end; "beat_cos" and "beat_sin" of as many, 0 beyond it
+          waves over the recording, which fades before and after it, to 1/e in the time of one radian of the wave;
+          "beat_cos" and "beat_sin" of as many, 0 beyond it
     """
     t = c.clock
 
@@ -42,8 +43,10 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
             return np.clip(t - tau, 0.0, 2.0 * max(lasted() - tau, 0.0))
         case "until":
             return np.clip(t, -tau, tau)
-        case "cosine":  # what wanders without a law stays where it was last seen
-            return np.asarray(np.cos(np.pi * tau * np.clip(t / lasted(), 0.0, 1.0)))
+        case "cosine":  # what wanders without a law is forgotten as fast as it changed
+            phase, whole = np.pi * tau * t / lasted(), np.pi * tau
+            inside = np.clip(phase, 0.0, whole)
+            return np.asarray(np.cos(inside) * np.exp(-np.abs(phase - inside)))
         case "beat_cos" | "beat_sin":  # where a beat is later, nobody knows
             wave, whole = np.cos if form == "beat_cos" else np.sin, lasted()
             return np.asarray(wave(np.pi * tau * t / whole) * ((c.hours >= 0.0) & (c.hours <= whole)))
