@@ -45,7 +45,9 @@ Array = NDArray[np.float64]
 # machine moves.
 SetpointMap = Callable[[Array, Array, Array, Around], Array]
 LOOK_S = 1.0  # between two looks at the axes while the run waits: less than a drive's silence that counts, by default
-SLIP = 5e-4  # m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess)
+# m or rad; loaded, braked and let go, an axis that is held gives way by less (a guess). Which side it came from is
+# known where it stands as it stood: moves of a run that was broken off may be shorter than that.
+SLIP, SAME_PLACE = 5e-4, 5e-5
 # A load of less is not weighed; of one that is, the force sensor reads at least such a share (newtons read as pounds
 # are 0.22, as kilograms 0.10, as kilonewtons 0.001). Ours.
 LEAST_WEIGHED_N, LEAST_OF_A_LOAD = 50.0, 0.5
@@ -181,7 +183,8 @@ class _Run:
         last, now = run_notes.last_visit(file), self._bench.axes.positions()
         before = {j: float(q) for j in self._joints if (q := last.get(f"q_{j}"))}
         unmoved = [j for j in before if j not in self._bench.homed and abs(now[j] - before[j]) <= SLIP]
-        self._came = {j: int(side) for j in unmoved if (side := last.get(f"approach_{j}"))}
+        same = [j for j in unmoved if abs(now[j] - before[j]) <= SAME_PLACE]
+        self._came = {j: int(side) for j in same if (side := last.get(f"approach_{j}"))}
         moved = {j: (before[j], now[j]) for j in before if j not in (*self._bench.homed, *unmoved)}
         if not moved:
             return

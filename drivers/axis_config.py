@@ -91,6 +91,11 @@ class AxisConfig:
         """Axis position where the drive counts 0."""
         return self.offset if self.homing is None else self.homing.offset
 
+    @property
+    def window_counts(self) -> int:
+        """The window as a drive takes it, a count at least: a servo holds no better."""
+        return max(1, round(self.window * self.counts_per_unit))
+
     def to_counts(self, position: float) -> int:
         return round(self.direction * self.counts_per_unit * (position - self.zero))
 

@@ -32,6 +32,7 @@ from ppshw.errors import (
 
 log = logging.getLogger(__name__)
 
+AWAKE_S = 1.0  # of machine time for a drive to send process data once it was told to
 HANDSHAKE_TIMEOUT, HANDSHAKE_SYNCS = 0.5, 20  # s of machine time and SYNCs; a drive needs two SYNCs
 ASTRAY = 0.01  # m or rad; by so much no axis leaves its way, whatever it overshoots (ours)
 MARGIN_FACTOR, MARGIN_S = 1.5, 5.0  # a move may take this much longer than its trapezoid before it is given up
@@ -108,6 +109,7 @@ class Cia402Group:
                 axis.target = None
                 axis.configure()
             self._started = True
+            self._await_process_data()
             self._exchange(expect_enabled=False)
             for axis in self._axes.values():
                 if axis.config.homing is None or axis.homed:  # else its reading means nothing yet
@@ -258,6 +260,13 @@ class Cia402Group:
             state = _snapshot(axis).state
             if axis is not but and state is not State.OPERATION_ENABLED:
                 raise DriveFault(axis.name, f"is {state}, not {State.OPERATION_ENABLED}; start it again")
+
+    def _await_process_data(self) -> None:
+        """Until every axis has answered a SYNC, for a bounded time: between the word to start and when a drive acts on
+        it some milliseconds may pass, and a SYNC meanwhile is lost. Nothing is enabled yet."""
+        silent, until = {axis.node_id for axis in self._axes.values()}, self._clock.now() + AWAKE_S
+        while silent and self._clock.now() < until:
+            silent = self._bus.exchange(silent)
 
     def _still_silent(self, silent: set[int]) -> set[int]:
         """Everyone is asked once more: all nodes if none answers now (the bus fell silent in between two answers), else
@@ -452,5 +461,4 @@ def _is_at_rest(axis: Cia402Axis) -> bool:
     if axis.target is None:
         return True
     snapshot = _snapshot(axis)
-    window = axis.config.window * axis.config.counts_per_unit
-    return snapshot.target_reached and abs(snapshot.counts - axis.target) <= window
+    return snapshot.target_reached and abs(snapshot.counts - axis.target) <= axis.config.window_counts

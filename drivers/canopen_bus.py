@@ -30,6 +30,10 @@ NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
 
 NO_ANSWER = "No SDO response received"  # as canopen says it, which has one class for every failure
 
+# s of real time that an adapter may take for one message: one that takes none any more, with its own buffer and the
+# system's full, is lost, and no stop of the axes hangs on it
+SEND_S = 0.25
+
 HEARTBEATS_MISSED = 3  # in a row; the drives, which wait for five periods, are then still told to stop
 
 
@@ -120,6 +124,8 @@ class CanBus:
             raise BusLost(self.config.name, f"cannot be opened: {error}") from error
         except (TypeError, KeyError, AttributeError) as error:  # by which python-can refuses its arguments
             raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
+        if (port := getattr(network.bus, "serialPortOrig", None)) is not None:  # slcan's
+            port.flush = _never  # it waits, for ever, until the adapter has taken all; a write has its time limit
         return network
 
     def close(self) -> None:
@@ -208,7 +214,7 @@ class _Network(canopen.Network):
     """canopen's, of which every failure is BusLost, also inside its SDO client and its PDO maps.
 
     python-can may raise anything: a garbled line ends the receiving thread by ValueError, and from then on canopen
-    raises it from every send, although the message has gone out.
+    raises it from every send, although the message has gone out. canopen's own send has no time limit.
     """
 
     def __init__(self, name: str) -> None:
@@ -217,7 +223,13 @@ class _Network(canopen.Network):
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         try:
-            super().send_message(can_id, data, remote)
+            if self.bus is None:
+                raise RuntimeError("not connected")
+            extended = can_id > 0x7FF
+            message = can.Message(arbitration_id=can_id, is_extended_id=extended, data=data, is_remote_frame=remote)
+            with self.send_lock:
+                self.bus.send(message, timeout=SEND_S)
+            self.check()
         except BusLost:
             raise
         except Exception as error:
@@ -398,3 +410,7 @@ class SdoPort:
                 raise HardwareTimeout(self._device, f"no SDO answer on {what} within {waited:g} s") from error
             except struct.error as error:
                 raise ProtocolError(self._device, f"the SDO answer on {what} is cut short: {error}") from error
+
+
+def _never() -> None:
+    """In place of what would wait."""

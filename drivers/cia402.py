@@ -261,7 +261,7 @@ class Cia402Axis:
         low, high = sorted((c.to_counts(c.lower), c.to_counts(c.upper)))
         self.sdo.set_if_present(LIMIT_LOW, low)
         self.sdo.set_if_present(LIMIT_HIGH, high)
-        self.sdo.set_if_present(POSITION_WINDOW, max(1, round(c.window * c.counts_per_unit)))
+        self.sdo.set_if_present(POSITION_WINDOW, c.window_counts)
         self.sdo.set_if_present(POSITION_TIME, round(c.window_s * 1000))
         if c.following_window is not None:
             window = max(1, round(c.following_window * c.counts_per_unit))

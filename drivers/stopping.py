@@ -6,18 +6,22 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Callable, Collection
 
 from drivers.canopen_bus import CanBus
 from drivers.cia402 import OBEY_S, Cia402Axis
 from drivers.cia402_objects import State
 from drivers.ports import Clock
+from ppshw.errors import HardwareError
 
 log = logging.getLogger(__name__)
 
 # s of machine time: for how long a stop is said again that could not be sent, what its ramp may take at most, and
 # between two looks at it
 INSIST_S, RAMP_S, LOOK_S = 1.0, 5.0, 0.1
+# s of real time that a round of quick stops may take: an adapter that takes no more messages takes SEND_S for each
+ROUND_S = 0.5
 
 
 class Stopping:
@@ -30,11 +34,13 @@ class Stopping:
 
     def at_once(self) -> bool:
         """No waiting and no SDO, so that it can be done in the receiving thread. Returns whether all of it went out."""
-        sent = True
+        sent, began = True, time.monotonic()
         with self._bus.commanding:
             self._bus.stopped = True
             for axis in self._axes():
                 sent &= self._tried(axis.send_quick_stop)
+                if time.monotonic() - began > ROUND_S:
+                    return False
             return self._tried(self._bus.sync) and sent
 
     def _tried(self, send: Callable[[], None]) -> bool:
@@ -87,9 +93,11 @@ class Stopping:
 
     def stand_still(self) -> None:
         """Until the ramps of a quick stop have ended: a motor without power coasts, or drops its brake at speed. For a
-        bounded time, and not for an axis that says nothing. Whoever was not seen to obey is told at every look."""
+        bounded time, and not for an axis that says nothing, by process data or SDO. Whoever was not seen to obey is
+        told at every look."""
         until = self._clock.now() + RAMP_S
         before: dict[str, float] = {}
+        dumb: set[int] = set()
         self._moving = []
         self._bus.answered(LOOK_S)  # a stop awaits no answers to its SYNCs: what is still on its way is no look
         while self._clock.now() < until:
@@ -102,17 +110,29 @@ class Stopping:
                 with self._bus.arrival:  # unseen, the ramps are given their time
                     self._clock.wait_for(self._bus.arrival, lambda: False, LOOK_S)
                 continue
-            heard = {axis.name: axis for axis in self._axes() if axis.node_id not in silent}
-            here = {name: axis.here() for name, axis in heard.items()}
-            self._moving = [
-                name for name, q in here.items() if abs(q - before.get(name, math.inf)) > heard[name].config.window
-            ]
+            here: dict[str, float] = {}
+            self._moving = []
+            for axis in self._axes():
+                if axis.node_id in dumb or (at := self._where(axis, by_sdo=axis.node_id in silent)) is None:
+                    dumb.add(axis.node_id)
+                    continue
+                here[axis.name] = at
+                if abs(at - before.get(axis.name, math.inf)) > axis.config.window_counts / axis.config.counts_per_unit:
+                    self._moving.append(axis.name)
             if here and not self._moving:
                 return
             before = here
             self._clock.sleep(LOOK_S)
         log.warning("closing: axes still moved, or were not seen, %g s after the quick stop", RAMP_S)
         self.unstopped += [name for name in self._moving if name not in self.unstopped]
+
+    def _where(self, axis: Cia402Axis, by_sdo: bool) -> float | None:
+        """By process data, or by SDO of one that fell back to PRE-OPERATIONAL; None of one that does not answer."""
+        try:
+            return axis.position() if by_sdo else axis.here()
+        except HardwareError as error:
+            log.info("closing: %s", error)
+            return None
 
     def switch_off(self, axis: Cia402Axis) -> None:
         """Raises HardwareError of a drive that does not answer."""

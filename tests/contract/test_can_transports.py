@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import pty
 import socket
 import subprocess
 import sys
 import time
+import tty
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +23,7 @@ import pytest
 from drivers.axis_config import AxisConfig
 from drivers.axis_group import Cia402Group
 from drivers.bus_lock import BusLock, lock_file
-from drivers.canopen_bus import BusConfig
+from drivers.canopen_bus import BusConfig, CanBus
 from drivers.cia402 import Cia402Axis
 from ppshw.errors import BusLost, DriveFault, HardwareError, HeartbeatLost
 from ppshw.file_lock import locked
@@ -320,3 +322,27 @@ def test_two_clients_of_one_adapter_hear_each_other() -> None:
         assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
         for bus in buses:
             bus.shutdown()
+
+
+def _flood(bus: CanBus) -> None:
+    for _ in range(10_000):  # 6 bytes each, of which nobody reads one
+        bus.sync()
+
+
+def test_an_adapter_that_takes_no_more_bytes_is_a_lost_bus_and_no_stop_hangs_on_it() -> None:
+    """Its firmware hangs, and the system's buffer is full: a safe stop hung on it for good, deaf to Ctrl-C."""
+    host, adapter = pty.openpty()
+    try:
+        tty.setraw(host)
+        tty.setraw(adapter)
+        arguments = {"interface": "slcan", "channel": os.ttyname(adapter), "sleep_after_open": 0}
+        bus = CanBus(BusConfig(can=arguments), SteppedClock())
+        bus.open()
+        try:
+            with pytest.raises(BusLost, match="cannot send: "):
+                _flood(bus)
+        finally:
+            bus.close()
+    finally:
+        os.close(host)
+        os.close(adapter)

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 from campaigns.site import open_bench
+from ppshw.errors import BeamLost
 from ppshw.recording import load_recording
 from ppshw.recording_file import RecordingFile
+from simulators.faults import Fault
 from tests.end_to_end.rig import ROOT, SCRIPT, Rig
 
 
@@ -59,6 +61,29 @@ def test_approach_and_temperatures_are_recorded(rig: Rig) -> None:
     assert set(recording.temperatures) == {"air", "rail", "force_sensor"}
     assert np.all(np.abs(recording.temperatures["air"] - 21.0) < 1.0)
     assert np.all(recording.settle_s >= 3.0)
+
+
+TURNS_BACK = """\
+name: back
+settle_s: 1
+loads: [{name: empty, mass: 0}]
+steps: [{step: a, kind: poses, poses: [{q: {pitch: 0}}, {q: {pitch: 0.02}}, {q: {pitch: 0.0196}}, {q: {yaw: 0.1}}]}]
+"""
+
+
+def test_from_which_side_a_joint_came_in_a_visit_that_was_broken_off_nobody_knows(tmp_path: Path) -> None:
+    """It had turned back by less than an axis gives way when it is let go, and was said to have come on."""
+    rig = Rig(tmp_path, TURNS_BACK)
+    with rig.hardware:
+        with pytest.raises(BeamLost):
+            rig.run(Fault("tracker", "lose_beam", None, after_visit=2))
+        rig.hardware.tracker.find_beam()
+        assert rig.run().done == 4
+    recording = load_recording(rig.out, rig.site.machine)
+    pitch, lateral = (recording.joint_names.index(name) for name in ("pitch", "lateral"))
+    assert recording.approach[:3, pitch].tolist() == [0, 1, 0]
+    assert recording.q[2, pitch] == pytest.approx(0.0196, abs=1e-6)
+    assert not recording.approach[:, lateral].any()
 
 
 def test_the_tracker_is_corrected_for_the_air_of_the_hall(rig: Rig) -> None:

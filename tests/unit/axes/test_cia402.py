@@ -38,7 +38,7 @@ from ppshw.errors import (
     Stopped,
 )
 from simulators.clock import SteppedClock
-from simulators.drive import Identity, Power
+from simulators.drive import Identity, Power, SimulatedDrive
 from tests.unit.axes.rack import LIFT, SLEW, SLIDE, Machine
 
 # moving
@@ -64,6 +64,50 @@ def test_all_axes_start_at_the_same_sync(machine: Machine) -> None:
     starts = {tuple(drive.starts) for drive in machine.drives}
     assert len(starts) == 1
     assert len(starts.pop()) == 1
+
+
+class LateToStart(SimulatedDrive):
+    """Sends process data only some SYNCs after it was told to start: many stacks act on NMT in their main loop."""
+
+    missed = 0
+
+    def _on_nmt(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        super()._on_nmt(can_id, data, timestamp)
+        if data[0] == 1:
+            self.missed = 1
+
+    def _on_sync(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        if self.missed:
+            self.missed -= 1
+        else:
+            super()._on_sync(can_id, data, timestamp)
+
+
+def test_a_drive_may_miss_the_sync_that_follows_the_word_to_start(build: Callable[..., Machine]) -> None:
+    m = build(kind=LateToStart)
+    m.group.start()
+    assert m.group.move({"slide": 0.1}).positions["slide"] == pytest.approx(0.1, abs=1e-5)
+
+
+class Hunting(SimulatedDrive):
+    """A servo that holds within a count."""
+
+    looks = 0
+
+    def read(self, index: int, subindex: int) -> int | None:
+        value = super().read(index, subindex)
+        if index != 0x6064 or value is None:
+            return value
+        self.looks += 1
+        return value + self.looks % 2
+
+
+def test_an_encoder_whose_count_is_coarser_than_the_window_comes_to_rest(build: Callable[..., Machine]) -> None:
+    """The drive has a window of a count, and so has the host: it had half of one, and no move ever ended."""
+    m = build(replace(SLEW, counts_per_unit=10_000, following_window=None), kind=Hunting)
+    m.group.start()
+    assert m.drive("slew").value(0x6067) == 1
+    assert m.group.move({"slew": 0.9}).positions["slew"] == pytest.approx(0.9, abs=1.5e-4)
 
 
 def test_the_direction_of_approach_is_kept_until_an_axis_moves_again(machine: Machine) -> None:

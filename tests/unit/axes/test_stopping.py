@@ -317,3 +317,25 @@ def test_a_drive_of_another_number_is_refused_where_the_site_says_one(build: Cal
     m = build(SLIDE, replace(LIFT, serial=1002), replace(SLEW, serial=4711))
     with pytest.raises(IdentityMismatch, match="slew: serial number is 1003, expected 4711"):
         m.group.start()
+
+
+def test_an_axis_that_fell_back_is_not_cut_off_while_it_still_brakes(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sends no process data any more, and answers SDO: it was at 226 mm/s when its power went (a reviewer's)."""
+    m = build(replace(SLIDE, velocity=0.5, acceleration=0.25, following_window=None), LIFT, SLEW)
+    m.group.start()
+    slide = m.drive("slide")
+    slide.store(0x6085, 0, 25_000)  # its quick stop takes two seconds
+    m.group.move({"slide": -0.9})
+
+    def fall_back() -> None:
+        slide.node.nmt.state = "PRE-OPERATIONAL"
+
+    m.after(2.0, fall_back)
+    speeds = power_cut_at(m, monkeypatch)
+    with pytest.raises(HardwareError, match=r"slide: no process data .* PRE-OPERATIONAL"):
+        m.group.move({"slide": 0.9})
+    m.group.close()
+    assert speeds[slide.id] == 0.0
+    assert m.group.unstopped == []
