@@ -48,8 +48,8 @@ CAUTION_ELASTIC = 20.0
 # (judgements): without, two of seed 54 that had been moved by 83 and 168 µm were three that are known to 40 µm.
 KNOWN_TO, A_STEP = (5e-6, 10e-6, 20e-6, 40e-6), 1.0
 MOVED, ONE_MOVED = (6e-5, 2e-4, 1e-3), 3.0
-NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 A_SCALE, NO_SCALE = 3e-5, 1e-12  # of the instrument: stretches what is between three reflectors alike
+NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 # Machined guides and bearings err slowly along their travel. A joint whose finest waves (four to seven of them over the
 # travel) are so many times the median joint's has something there that is no geometry: it is not to be absorbed. Nor
 # where those before (two to three) stand out more: 5.4 times at most in 16 clean machines, 43 where a gear did.
