@@ -19,7 +19,7 @@ from ppshw.quantities import called, many
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 from ppshw.terms.effect import UNNAMED, is_beyond
-from ppshw.terms.shapes import Context
+from ppshw.terms.shapes import Column, Context
 from ppshw.terms.unexplained import unexplained_at
 from ppshw.transforms import fit_rigid
 from ppshw.verification import QUANTILE
@@ -185,11 +185,18 @@ def evaluate(
     running = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if c.function in COURSES})
     if running and (held := int((context.clock != context.hours)[rows].sum())):
         answer["held_in_time"] = {"effects": running, "visits": held}
-    if running and not answer["identified_from_it"] and not np.isfinite(recording.time).all():
-        answer["untimed"] = running
+    timed = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if _goes_by_time(c)})
+    if timed and not answer["identified_from_it"] and not np.isfinite(recording.time).all():
+        answer["untimed"] = timed
     if any(e.name == UNNAMED for e in calibration.effects):
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer
+
+
+def _goes_by_time(column: Column) -> bool:
+    """Whether it runs on with time, or changes at some moment of the recording that it was made from."""
+    at_moments = any(column.args.get(name) is not None for name in ("visit_time", "times", "time"))
+    return column.function in COURSES or at_moments or column.args.get("since", -1.0) >= 0.0
 
 
 def _outside(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:

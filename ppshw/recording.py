@@ -515,9 +515,8 @@ def _read_csv(path: Path) -> Table:
             if not any(cell.strip() for cell in row):
                 raise RecordingError(f"{path}:{reader.line_num}: an empty row, commas only, no visit")
             if len(row) != len(header):
-                raise RecordingError(
-                    f"{path}:{reader.line_num}: {len(row)} cells, the header has {len(header)}; is the file cut off?"
-                )
+                why = "is the file cut off?" if len(row) < len(header) else "are its decimals commas?"
+                raise RecordingError(f"{path}:{reader.line_num}: {len(row)} cells, the header has {len(header)}; {why}")
             rows.append(tuple(row))
             lines.append(reader.line_num)
     except csv.Error as exc:

@@ -70,6 +70,13 @@ def positive(text: str) -> float:
     return value
 
 
+def share(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < math.inf:
+        raise ValueError
+    return value
+
+
 def seed(text: str) -> int:
     value = int(text)
     if value < 0:
@@ -95,4 +102,4 @@ def length(text: str) -> float:
 _LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m)")
 length.__name__ = "length such as 0.25mm, unit included,"
 positive.__name__, seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
-count.__name__ = "number of 1 or more"
+count.__name__, share.__name__ = "number of 1 or more", "share of 0 or more"

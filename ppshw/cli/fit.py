@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,7 +142,7 @@ def _warnings(
     return warnings + held_back(estimate.model.parameters(), estimate.groups)
 
 
-def _identified(answer: Mapping[str, Any], not_told_apart: str) -> list[str]:
+def _identified(answer: Mapping[str, Any], not_told_apart: Sequence[str]) -> list[str]:
     """The answer in words."""
     from ppshw.identification.own_weight import NOT_BENT
     from ppshw.recording import listed
@@ -160,7 +160,7 @@ def _identified(answer: Mapping[str, Any], not_told_apart: str) -> list[str]:
     if (how := NOT_BENT.get(answer["bent_by"])) is not None:
         lines.append(f"  own weights          {how}")
     if answer["method"] != "paper":
-        lines.append(f"  not told apart       {not_told_apart}")
+        lines += [f"  not told apart       {not_told_apart[0]}", *(f"    {each}" for each in not_told_apart[1:])]
     return lines
 
 
@@ -227,8 +227,6 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
         if u["visits_without"] == answer["visits"]:
             lines.append(f"structure over {over} is corrected at no visit: there were no data like any of these")
             continue
-        lines.append(
-            f"corrected without a name over {over}, by which unsure to "
-            f"{u['std_mm']:.3f} mm rms; not at {many(u['visits_without'], 'visit')}, where there were no data"
-        )
+        but = f"; not at {many(u['visits_without'], 'visit')}, where there were no data" if u["visits_without"] else ""
+        lines.append(f"corrected without a name over {over}, by which unsure to {u['std_mm']:.3f} mm rms{but}")
     return lines

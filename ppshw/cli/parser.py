@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from ppshw import __version__
-from ppshw.cli.arguments import count, length, positive, seed
+from ppshw.cli.arguments import count, length, positive, seed, share
 from ppshw.cli.diagnosing import diagnose, report, twin
 from ppshw.cli.fit import evaluate, identify
 from ppshw.cli.planning import plan
@@ -167,7 +167,7 @@ def _setpoints(add: Add) -> None:
                        help="most that a prismatic joint may be corrected (default: 0.03)")  # fmt: skip
         p.add_argument("--max-angle", type=positive, default=0.03, metavar="RAD",
                        help="most that a revolute joint may be corrected (default: 0.03)")  # fmt: skip
-        p.add_argument("--max-beyond", type=positive, metavar="SHARE",
+        p.add_argument("--max-beyond", type=share, metavar="SHARE",
                        help="how far a joint or a load may lie beyond what was identified, as a share of that range "
                        "(default: 0.05 for joints, 0.1 for loads)")  # fmt: skip
         p.add_argument("--from", dest="start", nargs="+", metavar="Q1 … QN",

@@ -110,7 +110,7 @@ def _corrected(
     if warnings is not None:
         warnings += compensator.calibration.other_sides(setpoints.approach)
         outside = compensator.calibration.outside(setpoints.nominal, payload)
-        warnings += [f"{each}: carried on there" for each in outside]
+        warnings += [f"{each}: with std_mm as at its end, carried on there" for each in outside]
     names = machine.joint_names
     answer = {
         "setpoints": dict(zip(names, setpoints.corrected.tolist(), strict=True)),

@@ -113,6 +113,7 @@ def diagnose(
     answer, carried = _answer(space, free or space, tried, found, gross, scatter, unnamed, wrong)
     del tried, free
     give_back()
+    answer["provenance"] = {"machine_sha256": machine.sha256, "recording_sha256": recording.sha256}
     answer["visits"] += len(odd)
     answer["serial_correlation"] = SerialNoise.of(space).correlation(space, np.random.default_rng(seed))
     answer["checks"] = before_and_after(space, seed)

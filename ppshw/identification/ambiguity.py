@@ -156,14 +156,14 @@ def _explained(information: Array, kept: Index, columns: Index) -> tuple[Array, 
     return shares, across.T @ shares
 
 
-def summary(found: list[Ambiguity], most: int = 3) -> str:
-    """For a person: how many, and what to measure for those that a visit would tell."""
+def summary(found: list[Ambiguity], most: int = 3) -> list[str]:
+    """For a person: how many, and a line each of what to measure for those that a visit would tell."""
     if not found:
-        return "the recording tells all of them apart"
+        return ["the recording tells all of them apart"]
     open_ones = [a for a in found if a.visit is not None]
     always = len(found) - len(open_ones)
     said = f"{len(found)} parameters move the targets like others do; {always} of them at any visit"
-    return "\n    ".join([said, *(a.sentence for a in open_ones[:most])])
+    return [said, *(a.sentence for a in open_ones[:most])]
 
 
 def _simplest(gain: Array) -> int | None:
@@ -200,7 +200,7 @@ def _candidates(machine: Machine, known: Recording) -> tuple[Situation, list[str
              if a[0][0] != b[0][0]]  # fmt: skip
     weight = max(float(np.linalg.norm(known.wrench[:, :3], axis=1).max()), LEAST_WEIGHT)
     arm = max(BESIDE, float(np.abs(known.wrench[:, 3:]).max()) / weight)
-    middle_arm = np.zeros(3)
+    middle_arm, usual = np.zeros(3), _usual(known.wrench)
     loads = [(0.0, middle_arm), (weight, middle_arm)]
     loads += [(weight, sign * arm * axis) for axis in np.eye(3) for sign in (1.0, -1.0)]
     plans: list[tuple[_Moves, tuple[float, Array] | None]] = [(place, None) for place in moves]
@@ -210,23 +210,31 @@ def _candidates(machine: Machine, known: Recording) -> tuple[Situation, list[str
     for row, ((changes, _), _) in enumerate(plans):
         for k, end in changes:
             q[row, k] = end
-    payload = _hung(machine, q, [load for _, load in plans], np.median(known.wrench, axis=0))
+    payload = _hung(machine, q, [load or usual for _, load in plans])
     words = [" under ".join(w for w in (place[1], _load_words(wrench) if load else "") if w)
              for (place, load), wrench in zip(plans, payload, strict=True)]  # fmt: skip
     return Situation(q, payload), words
 
 
-def _hung(machine: Machine, q: Array, loads: list[tuple[float, Array] | None], usual: Array) -> Array:
-    """(C, 6) wrenches on the sensor of weights [N] at points [m] in its frame; None: the usual wrench."""
+def _usual(wrench: Array) -> tuple[float, Array]:
+    """The middle weight [N] of wrenches (N, 6), and the middle place [m] in the sensor's frame at which it hangs: the
+    nearest to the sensor on each force's line."""
+    force, moment = wrench[:, :3], wrench[:, 3:]
+    size2 = (force**2).sum(axis=1)
+    loaded = size2 > 0.0
+    if np.median(size2) == 0.0:
+        return 0.0, np.zeros(3)
+    arm = np.cross(force[loaded], moment[loaded]) / size2[loaded, None]
+    return float(np.sqrt(np.median(size2))), np.asarray(np.median(arm, axis=0))
+
+
+def _hung(machine: Machine, q: Array, loads: list[tuple[float, Array]]) -> Array:
+    """(C, 6) wrenches on the sensor of weights [N] at points [m] in its frame."""
     sensor = frames(machine, q)[:, -1] @ machine.sensor_in_link
     pull = machine.gravity / max(float(np.linalg.norm(machine.gravity)), 1e-9)
     down = np.einsum("cji,j->ci", sensor[:, :3, :3], pull)
-    out = np.array([usual] * len(q))
-    for row, load in enumerate(loads):
-        if load is not None:
-            force = load[0] * down[row]
-            out[row] = np.concatenate([force, np.cross(load[1], force)])
-    return out
+    force = np.array([weight for weight, _ in loads])[:, None] * down
+    return np.hstack([force, np.cross([arm for _, arm in loads], force)])
 
 
 def _load_words(wrench: Array) -> str:

@@ -151,6 +151,12 @@ def _doubts(contents: Contents) -> list[str]:
                 f"identification recording in this folder ({campaign.sha256[:12]}): the residual shown is that of "
                 "visits the fit may never have seen."
             )
+    diagnosed = (contents.diagnosis or {}).get("provenance")
+    if isinstance(diagnosed, dict):
+        if diagnosed.get("machine_sha256") != contents.machine.sha256:
+            out.append("The diagnosis is of another machine file than the one in this folder.")
+        elif diagnosed.get("recording_sha256") not in {r.sha256 for r in contents.recordings.values()}:
+            out.append("The diagnosis is of another recording than those in this folder.")
     if contents.machine.tracker.base is None and any(stem in contents.recordings for stem in CASES):
         out.append(
             "The machine file leaves the measuring frame open; it was placed by the calibration. An error that the "

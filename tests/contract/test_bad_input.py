@@ -229,7 +229,7 @@ RECORDINGS: dict[str, tuple[Spoil, str]] = {
     "empty lines only": (put("\n\n"), ":1: an empty line, expected the names of the columns"),
     "a word of a spreadsheet at the top": (lambda p: put("sep=,\n" + p.read_text())(p), ":1: 'sep=,', expected the names of the columns"),
     "a row of commas": (lambda p: put(p.read_text() + "," * 26 + "\n")(p), ": an empty row, commas only"),
-    "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27"),
+    "a row too long": (cell(9, "load", "a,b"), ":9: 28 cells, the header has 27; are its decimals commas?"),
     "a quote that never ends": (cell(9, "load", '"a'), "not valid CSV"),
     "a quote in the middle": (cell(9, "load", '"a"b'), ":9: not valid CSV"),
     "a zero byte": (cell(9, "load", "\0"), ":9: a zero byte, expected text"),

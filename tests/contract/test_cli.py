@@ -399,6 +399,7 @@ def test_compensate_refuses_in_one_line(tmp_path: Path, compensate: list[str | P
     assert bold.code == 0
     (warning,) = [w for w in json.loads(bold.out)["warnings"] if "Fy" in w]
     assert warning.endswith("carried on there")
+    assert "load Fy = -9000 N is outside what was identified" in refused(tmp_path, *heavy, "--max-beyond", "0")
     timid = [*compensate, "--joints", "0.1 0.2 0.5 0.3 0 0", "--max-travel", "1e-6"]
     assert re.search(r"joint '\w+' would be corrected by \S+ m, the bound is 1e-06", refused(tmp_path, *timid))
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from ppshw.cli import main
-from ppshw.identification.ambiguity import Ambiguity, _load_words, ambiguities
+from ppshw.identification.ambiguity import Ambiguity, _hung, _load_words, _usual, ambiguities
 from ppshw.identification.joint import estimate, lines
 from ppshw.identification.strengths import Groups
 from ppshw.identification.structure import joint_model
+from ppshw.kinematics import frames
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.offline import simulate_recording_csv
@@ -77,6 +78,22 @@ def test_without_loads_a_load_is_asked_for(recorded: tuple[Machine, Recording]) 
     assert all("a load of" in a.visit.words for a in elastic if a.visit)
 
 
+def test_loads_hang_down_whatever_the_pose_the_usual_one_too(tmp_path: Path) -> None:
+    """At A of -1.5 rad gravity was to pull sideways on a joint that stands upright (a reviewer's portal)."""
+    tipping = tmp_path / "tipping.yaml"
+    tipping.write_text(PPS.read_text(encoding="utf-8").replace("0.05235987755982989", "1.5"), encoding="utf-8")
+    machine = load_machine(tipping)
+    assert machine.limits()[1][4:].tolist() == [1.5, 1.5]
+    q = np.random.default_rng(3).uniform(*machine.limits(), (40, machine.n))
+    sensor = frames(machine, q)[:, -1] @ machine.sensor_in_link
+    force = np.einsum("cji,j->ci", sensor[:, :3, :3], 80.0 * machine.gravity)
+    wrench = np.hstack([force, np.cross([0.1, 0.2, 0.4], force)])
+    weight, arm = _usual(wrench)
+    assert weight == pytest.approx(80.0 * 9.80665, rel=1e-3)
+    np.testing.assert_allclose(_hung(machine, q, [(weight, arm)] * len(q))[:, :3], force, atol=1.0)
+    assert _usual(np.zeros((5, 6)))[0] == 0.0
+
+
 def test_its_sentence_says_nothing_twice_and_loads_without_powers_of_ten() -> None:
     waves = [(f"longitudinal.C[tz,Mz][{k}]", 1.0) for k in (1, 2, 4)]
     like = (*waves, ("longitudinal.C[rx,Mz][3]", 0.5))
@@ -107,6 +124,8 @@ def test_the_command_says_it_in_words_in_json_and_in_the_calibration(
     assert json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["ambiguous"] == answer
     with_visit = [a for a in answer if a["visit"]]
     assert with_visit
+    for each in with_visit[:3]:  # on a line of its own
+        assert f"\n    {each['sentence'][:30]}" in text
     assert set(with_visit[0]["visit"]["pose"]) == {"lateral", "vertical", "longitudinal", "yaw", "roll", "pitch"}
 
 

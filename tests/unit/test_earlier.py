@@ -197,6 +197,18 @@ def test_what_runs_on_is_said_to_where_no_time_is_known() -> None:
     assert "untimed" not in evaluate(later().subset(np.array([30])), base().machine, running_on())
 
 
+def test_a_jump_at_some_moment_is_said_to_where_no_time_is_known() -> None:
+    untimed = replace(later().subset(np.array([30])), time=np.array([np.nan]))
+    jump = Effect(
+        "zero_shift", "yaw", (Column("frame", "step", {"visit_time": 1.2}, 4, 5),), (1e-4,), (1e-6,), "by hand"
+    )
+    steady = Effect("backlash", "yaw", (Column("frame", "approach", {"joint": 3}, 4, 5),), (1e-5,), (1e-6,), "by hand")
+    there = Effect("target_moved", None, (Column("points", "target_shift", {"target": 0, "axis": 0, "since": -1.0}),),
+                   (1e-5,), (1e-6,), "by hand")  # fmt: skip
+    calibration = replace(running_on(), effects=(jump, steady, there))
+    assert evaluate(untimed, base().machine, calibration)["untimed"] == ["zero shift of yaw"]
+
+
 def test_another_load_under_a_label_stays_another() -> None:
     first = whole().subset(np.arange(VISITS) < FIRST)
     recording = replace(later(), load=(first.load[-1],) * (VISITS - FIRST))

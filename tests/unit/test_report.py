@@ -397,6 +397,22 @@ def test_a_spoiled_visit_is_marked_and_a_lost_target_too(copy: Path) -> None:
     assert any("was made from another recording" in note for note in compute(contents).notes)
 
 
+@pytest.mark.parametrize(("of", "said"), [
+    ({"machine_sha256": "another"}, "The diagnosis is of another machine file"),
+    ({"recording_sha256": "another"}, "The diagnosis is of another recording"),
+    ({}, ""),
+])  # fmt: skip
+def test_a_diagnosis_of_another_machine_or_recording_is_said_to_be_one(
+    copy: Path, of: dict[str, str], said: str
+) -> None:
+    contents = read_folder(copy)
+    mine = {"machine_sha256": contents.machine.sha256, "recording_sha256": contents.recordings["campaign"].sha256}
+    (copy / "diagnosis.json").write_text(answer(provenance={**mine, **of}), encoding="utf-8")
+    notes = [note for note in compute(read_folder(copy)).notes if note.startswith("The diagnosis is of")]
+    assert notes == [note for note in notes if said and note.startswith(said)]
+    assert len(notes) == bool(said)
+
+
 def test_figures_that_the_run_printed_are_held_against_the_recordings(copy: Path) -> None:
     mine = compute(read_folder(copy)).accuracy
     printed = {**mine, "compensated": {**mine["compensated"], "max_mm": 0.001}, "visits": 170, "seconds": 31.4}
