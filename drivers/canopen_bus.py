@@ -125,7 +125,7 @@ class CanBus:
         except (TypeError, KeyError, AttributeError) as error:  # by which python-can refuses its arguments
             raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
         if (port := getattr(network.bus, "serialPortOrig", None)) is not None:  # slcan's
-            port.flush = _never  # it waits, for ever, until the adapter has taken all; a write has its time limit
+            port.flush = lambda: None  # it waits, for ever, until the adapter has taken all; a write has its time limit
         return network
 
     def close(self) -> None:
@@ -410,7 +410,3 @@ class SdoPort:
                 raise HardwareTimeout(self._device, f"no SDO answer on {what} within {waited:g} s") from error
             except struct.error as error:
                 raise ProtocolError(self._device, f"the SDO answer on {what} is cut short: {error}") from error
-
-
-def _never() -> None:
-    """In place of what would wait."""

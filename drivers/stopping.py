@@ -97,7 +97,7 @@ class Stopping:
         told at every look."""
         until = self._clock.now() + RAMP_S
         before: dict[str, float] = {}
-        dumb: set[int] = set()
+        dumb: set[int] = set()  # who did not answer SDO either: each takes its time limit
         self._moving = []
         self._bus.answered(LOOK_S)  # a stop awaits no answers to its SYNCs: what is still on its way is no look
         while self._clock.now() < until:
@@ -113,7 +113,9 @@ class Stopping:
             here: dict[str, float] = {}
             self._moving = []
             for axis in self._axes():
-                if axis.node_id in dumb or (at := self._where(axis, by_sdo=axis.node_id in silent)) is None:
+                if (unheard := axis.node_id in silent) and axis.node_id in dumb:
+                    continue
+                if (at := self._where(axis, by_sdo=unheard)) is None:
                     dumb.add(axis.node_id)
                     continue
                 here[axis.name] = at

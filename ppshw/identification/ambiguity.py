@@ -23,7 +23,9 @@ from ppshw.identification.visits import Linearisation
 from ppshw.kinematics import frames
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Recording
+from ppshw.statics import gravity_in_sensor
 from ppshw.terms import Situation
+from ppshw.terms.history import payloads, weighs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -200,41 +202,27 @@ def _candidates(machine: Machine, known: Recording) -> tuple[Situation, list[str
              if a[0][0] != b[0][0]]  # fmt: skip
     weight = max(float(np.linalg.norm(known.wrench[:, :3], axis=1).max()), LEAST_WEIGHT)
     arm = max(BESIDE, float(np.abs(known.wrench[:, 3:]).max()) / weight)
-    middle_arm, usual = np.zeros(3), _usual(known.wrench)
-    loads = [(0.0, middle_arm), (weight, middle_arm)]
-    loads += [(weight, sign * arm * axis) for axis in np.eye(3) for sign in (1.0, -1.0)]
-    plans: list[tuple[_Moves, tuple[float, Array] | None]] = [(place, None) for place in moves]
+    arms = [np.zeros(3), *(sign * arm * axis for axis in np.eye(3) for sign in (1.0, -1.0))]
+    mass = weight / max(float(np.linalg.norm(machine.gravity)), 1e-9)
+    loads = [np.zeros(4), *(mass * np.append(1.0, arm) for arm in arms)]  # as of `payloads`
+    plans: list[tuple[_Moves, Array | None]] = [(place, None) for place in moves]
     plans += [(place, load) for place in (*stay, *moves) for load in loads]
     plans += [(place, None) for place in pairs]
     q = np.array([middle] * len(plans))
     for row, ((changes, _), _) in enumerate(plans):
         for k, end in changes:
             q[row, k] = end
-    payload = _hung(machine, q, [load or usual for _, load in plans])
-    words = [" under ".join(w for w in (place[1], _load_words(wrench) if load else "") if w)
+    usual = np.median(payloads(known.wrench, known.load, _gravity(machine, known.q)), axis=0)
+    held = np.array([usual if load is None else load for _, load in plans])
+    payload = weighs(held, _gravity(machine, q))
+    words = [" under ".join(w for w in (place[1], "" if load is None else _load_words(wrench)) if w)
              for (place, load), wrench in zip(plans, payload, strict=True)]  # fmt: skip
     return Situation(q, payload), words
 
 
-def _usual(wrench: Array) -> tuple[float, Array]:
-    """The middle weight [N] of wrenches (N, 6), and the middle place [m] in the sensor's frame at which it hangs: the
-    nearest to the sensor on each force's line."""
-    force, moment = wrench[:, :3], wrench[:, 3:]
-    size2 = (force**2).sum(axis=1)
-    loaded = size2 > 0.0
-    if np.median(size2) == 0.0:
-        return 0.0, np.zeros(3)
-    arm = np.cross(force[loaded], moment[loaded]) / size2[loaded, None]
-    return float(np.sqrt(np.median(size2))), np.asarray(np.median(arm, axis=0))
-
-
-def _hung(machine: Machine, q: Array, loads: list[tuple[float, Array]]) -> Array:
-    """(C, 6) wrenches on the sensor of weights [N] at points [m] in its frame."""
-    sensor = frames(machine, q)[:, -1] @ machine.sensor_in_link
-    pull = machine.gravity / max(float(np.linalg.norm(machine.gravity)), 1e-9)
-    down = np.einsum("cji,j->ci", sensor[:, :3, :3], pull)
-    force = np.array([weight for weight, _ in loads])[:, None] * down
-    return np.hstack([force, np.cross([arm for _, arm in loads], force)])
+def _gravity(machine: Machine, q: Array) -> Array:
+    """(C, 3) in the sensor's frame [m/s²], of joint values (C, n)."""
+    return gravity_in_sensor(machine, frames(machine, q))
 
 
 def _load_words(wrench: Array) -> str:

@@ -150,10 +150,10 @@ def run_prove(
                 lost[spec.name] = str(exc)
     scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
     # an earlier program, whose scores are taken up, may have judged by other rules
-    from ppshw.prove.page import write_page  # pictures: no worker draws one
-
     scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
     document = {"cases": len(cases), "lost": lost, **summarise(scores)}
+    from ppshw.prove.page import write_page  # pictures: no worker draws one
+
     write_text(out / "prove.json", json.dumps(document, indent=1))
     write_page(out, document, [s for s in scores if not s["spec"]["without"]])
     return document

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ppshw.cli import main
-from ppshw.identification.ambiguity import Ambiguity, _hung, _load_words, _usual, ambiguities
+from ppshw.identification.ambiguity import Ambiguity, _candidates, _load_words, ambiguities
 from ppshw.identification.joint import estimate, lines
 from ppshw.identification.strengths import Groups
 from ppshw.identification.structure import joint_model
@@ -78,20 +79,31 @@ def test_without_loads_a_load_is_asked_for(recorded: tuple[Machine, Recording]) 
     assert all("a load of" in a.visit.words for a in elastic if a.visit)
 
 
-def test_loads_hang_down_whatever_the_pose_the_usual_one_too(tmp_path: Path) -> None:
+def test_loads_hang_down_whatever_the_pose_the_usual_one_too(
+    recorded: tuple[Machine, Recording], tmp_path: Path
+) -> None:
     """At A of -1.5 rad gravity was to pull sideways on a joint that stands upright (a reviewer's portal)."""
     tipping = tmp_path / "tipping.yaml"
     tipping.write_text(PPS.read_text(encoding="utf-8").replace("0.05235987755982989", "1.5"), encoding="utf-8")
     machine = load_machine(tipping)
     assert machine.limits()[1][4:].tolist() == [1.5, 1.5]
-    q = np.random.default_rng(3).uniform(*machine.limits(), (40, machine.n))
-    sensor = frames(machine, q)[:, -1] @ machine.sensor_in_link
-    force = np.einsum("cji,j->ci", sensor[:, :3, :3], 80.0 * machine.gravity)
-    wrench = np.hstack([force, np.cross([0.1, 0.2, 0.4], force)])
-    weight, arm = _usual(wrench)
-    assert weight == pytest.approx(80.0 * 9.80665, rel=1e-3)
-    np.testing.assert_allclose(_hung(machine, q, [(weight, arm)] * len(q))[:, :3], force, atol=1.0)
-    assert _usual(np.zeros((5, 6)))[0] == 0.0
+
+    def pull(q: NDArray[np.float64]) -> NDArray[np.float64]:
+        sensor = frames(machine, q)[:, -1] @ machine.sensor_in_link
+        return np.einsum("cji,j->ci", sensor[:, :3, :3], 80.0 * machine.gravity)
+
+    q = np.random.default_rng(3).uniform(*machine.limits(), (len(recorded[1]), machine.n))
+    wrench = np.hstack([pull(q), np.cross([0.1, 0.2, 0.4], pull(q))])
+    visits, words = _candidates(machine, replace(recorded[1], q=q, wrench=wrench, load=("box",) * len(q)))
+    down, force = pull(visits.q), visits.payload[:, :3]
+    share = np.linalg.norm(force, axis=1, keepdims=True) / np.linalg.norm(down, axis=1, keepdims=True)
+    np.testing.assert_allclose(force, share * down, atol=1e-6)
+    usual = np.array(["load" not in each for each in words])
+    assert usual.any()
+    assert not usual.all()
+    np.testing.assert_allclose(force[usual], down[usual], atol=1e-6)
+    np.testing.assert_allclose(visits.payload[usual, 3:], np.cross([0.1, 0.2, 0.4], down[usual]), atol=1e-6)
+    assert share.min() == 0.0
 
 
 def test_its_sentence_says_nothing_twice_and_loads_without_powers_of_ten() -> None:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -14,15 +15,18 @@ import pytest
 
 from drivers.axis_group import Cia402Group
 from drivers.canopen_bus import BusConfig
+from drivers.stopping import Stopping
 from ppshw.errors import (
     BusLost,
     ConfigurationMismatch,
     DriveFault,
     FollowingError,
     HardwareError,
+    HardwareTimeout,
     IdentityMismatch,
     ProtocolError,
 )
+from simulators.clock import SteppedClock
 from simulators.drive import Power, SimulatedDrive
 from tests.unit.axes.rack import LIFT, SLEW, SLIDE, Machine
 
@@ -339,3 +343,42 @@ def test_an_axis_that_fell_back_is_not_cut_off_while_it_still_brakes(
     m.group.close()
     assert speeds[slide.id] == 0.0
     assert m.group.unstopped == []
+
+
+def test_a_round_of_stops_ends_where_each_message_waits_for_an_adapter_that_takes_none(machine: Machine) -> None:
+    bus = machine.group._bus.network.bus
+    assert bus is not None
+    tried: list[int] = []
+
+    def stalled(message: can.Message, timeout: float | None = None) -> None:
+        assert timeout is not None
+        tried.append(message.arbitration_id)
+        sleep(0.3)
+        raise can.CanTimeoutError("Could not write to serial device")
+
+    send, bus.send = bus.send, stalled  # type: ignore[method-assign]
+    assert not machine.group._stopping.at_once()
+    bus.send = send  # type: ignore[method-assign]
+    assert 1 <= len(tried) <= 2  # of four: three stops and a SYNC
+
+
+def test_an_axis_that_missed_a_look_is_seen_again_by_its_process_data() -> None:
+    """It answered neither SYNC nor SDO for a moment, and still brakes."""
+
+    class Axis(SimpleNamespace):
+        def here(self) -> float:
+            return float(self.way.pop(0) if len(self.way) > 1 else self.way[0])
+
+        def position(self) -> float:
+            raise HardwareTimeout(self.name, "no SDO answer")
+
+    axes: list[Any] = [
+        Axis(name="slide", node_id=1, config=SLIDE, way=[0.5, 0.4, 0.3, 0.3]),
+        Axis(name="lift", node_id=2, config=LIFT, way=[0.1]),
+    ]
+    looks = [{1}, set[int](), set[int](), set[int](), set[int]()]
+    bus: Any = SimpleNamespace(answered=lambda seconds: None, exchange=lambda nodes: looks.pop(0))
+    stopping = Stopping(bus, SteppedClock(), lambda: axes)
+    stopping.stand_still()
+    assert looks == []  # the fifth look is the first at which it stands
+    assert stopping.unstopped == []
