@@ -21,6 +21,7 @@ from canopen.pdo import PdoMap
 from drivers.axis_config import AxisConfig
 from drivers.canopen_bus import CanBus, Entry, SdoPort
 from drivers.cia402_objects import (
+    ABORT_BY_FAULT,
     ABORT_OPTION,
     ACCELERATION,
     CONSUMER_HEARTBEAT,
@@ -29,6 +30,7 @@ from drivers.cia402_objects import (
     DISABLE_VOLTAGE,
     ERROR_CODE,
     ERROR_REGISTER,
+    FAULT_OPTION,
     FAULT_RESET,
     FAULTY,
     FOLLOWING_TIME,
@@ -231,14 +233,18 @@ class Cia402Axis:
             self.end_watch()
 
     def _require_a_stop(self) -> None:
-        """By the drive's own option codes: without a brake, an axis of option 0 coasts."""
-        options = [(QUICK_STOP_OPTION, "a quick stop would only cut its power")]
+        """By the drive's own option codes (CiA 402-2): without a brake, an axis whose power is cut coasts."""
+        cut = "would only cut its power"
+        unfit = [(QUICK_STOP_OPTION, 0, f"a quick stop {cut}")]
         if self._bus.config.host_node_id is not None:
-            options.append((ABORT_OPTION, "it would not stop when this program dies"))
-        for entry, what in options:
-            if self.sdo.read_if_present(entry) == 0:
+            dead = "when this program dies it"
+            unfit += [(ABORT_OPTION, 0, f"{dead} would not stop"), (ABORT_OPTION, 2, f"{dead} {cut}")]
+            if self.sdo.read_if_present(ABORT_OPTION) == ABORT_BY_FAULT:
+                unfit.append((FAULT_OPTION, 0, f"{dead} {cut}"))
+        for entry, option, what in unfit:
+            if self.sdo.read_if_present(entry) == option:
                 key = f"axes.{self.name}.parameters {{0x{entry.index:04X}: …}}"
-                raise ConfigurationMismatch(self.name, f"{entry} is 0: {what}; set it in {key}")
+                raise ConfigurationMismatch(self.name, f"{entry} is {option}: {what}; set it in {key}")
 
     def end_watch(self) -> None:
         """The drive no longer faults (0x8130) when this program's heartbeat ends."""

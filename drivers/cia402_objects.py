@@ -27,6 +27,7 @@ STATUSWORD = Entry(0x6041, 0, "H", "statusword")
 MODE = Entry(0x6060, 0, "b", "mode of operation")
 MODE_DISPLAY = Entry(0x6061, 0, "b", "mode display")
 QUICK_STOP_OPTION = Entry(0x605A, 0, "h", "quick stop option")
+FAULT_OPTION = Entry(0x605E, 0, "h", "fault reaction option")
 POSITION = Entry(0x6064, 0, "i", "position")
 FOLLOWING_WINDOW = Entry(0x6065, 0, "I", "following error window")
 FOLLOWING_TIME = Entry(0x6066, 0, "H", "following error time-out")
@@ -45,6 +46,7 @@ HOMING_SLOW = Entry(0x6099, 2, "I", "homing speed to zero")
 HOMING_ACCELERATION = Entry(0x609A, 0, "I", "homing acceleration")
 
 PROFILE_POSITION, HOMING = 1, 6
+ABORT_BY_FAULT = 1  # abort connection option by which a drive whose host is lost does what it does at a fault
 HOME_IN_PLACE = (35, 37)  # methods that take the present position for home, without a motion
 
 DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, SWITCH_ON, ENABLE, FAULT_RESET = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80

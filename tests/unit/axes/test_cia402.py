@@ -7,6 +7,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -855,6 +856,26 @@ def test_a_drive_that_would_not_stop_is_not_started(
     with pytest.raises(ConfigurationMismatch, match=rf"slide: {of_whom} 0x{index:04X}:00 is 0: .* axes\.slide\.par"):
         m.group.start()
     assert m.drive("slide").power is not Power.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("abort", "fault", "refused"),
+    [(1, 0, "fault reaction option 0x605E:00 is 0"), (2, 2, "abort connection option 0x6007:00 is 2"), (3, 0, "")],
+)
+def test_a_drive_that_would_only_cut_its_power_when_the_program_dies_is_not_started(
+    build: Callable[..., Machine], monkeypatch: pytest.MonkeyPatch, abort: int, fault: int, refused: str
+) -> None:
+    """An abort does what a fault does (1), cuts the power (2) or is a quick stop (3)."""
+    m = build(SLIDE)
+    m.group = watched(m)
+    read, says = SdoPort.read_if_present, {0x6007: abort, 0x605E: fault}
+    monkeypatch.setattr(
+        SdoPort, "read_if_present", lambda s, entry: says[entry.index] if entry.index in says else read(s, entry)
+    )
+    expected = pytest.raises(ConfigurationMismatch, match=f"slide: {refused}: when this program dies it would only cut")
+    with expected if refused else nullcontext():
+        m.group.start()
+    assert (m.drive("slide").power is Power.OPERATION_ENABLED) == (not refused)
 
 
 def test_no_axis_is_enabled_after_another_one_stopped_them_all(
