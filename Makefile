@@ -9,7 +9,9 @@ STAMP  := $(VENV)/.installed
 demo: env
 	$(BIN)/ppshw demo --out demo-out
 
-test: lint types layers unit
+# Types and layers are checked beside the tests, many of which wait for machine time.
+test: lint
+	$(MAKE) --jobs=2 unit types layers
 
 # The README's picture, from what `make demo` left.
 picture: env
