@@ -38,6 +38,9 @@ ASSUMED = "one thermometer, air that swings by 2 K in 4 hours"
 # What no campaign shows is asked of random poses with a load of its own at every visit, so many of them at least; the
 # loads as far out and as heavy as the script's, or (a guess) this far [m] and this share of the machine's own weight.
 AT_LEAST, FAR_OUT, HEAVY = 450, 0.3, 0.05
+HOURS = 8.0  # that it takes at least: what a working day holds
+# A typical form of which the base model leaves so much, and that many visits do not show, is hidden by the noise.
+LEFT_OVER = 0.05
 # A campaign is blind to an effect when it would miss it at so many times the stated repeatability.
 BLIND_BEYOND = 2.0
 MOST_LINES = 8
@@ -69,7 +72,8 @@ TO_ADD = {
 @dataclass(frozen=True)
 class Foresight:
     """space, tried: the library over the would-be recording; rows of every name; unit: the stated repeatability, rms at
-    the reflectors [m]; never: names that no campaign of this machine would show either."""
+    the reflectors [m]; never: names that no campaign of this machine would show either; noisy: those of them that the
+    noise hides, not the base model."""
 
     space: Workspace
     tried: Tried
@@ -78,6 +82,7 @@ class Foresight:
     unit: float
     assumed: str = ASSUMED
     never: frozenset[Name] = frozenset()
+    noisy: frozenset[Name] = frozenset()
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -101,24 +106,35 @@ class Foresight:
 
     def warnings(self) -> list[str]:
         """The blind effects in plain words, at most MOST_LINES; the first line says what was assumed."""
-        blind: dict[str, list[str | None]] = {}
-        never: dict[str, list[str | None]] = {}
+        asked, hidden, taken = (dict[str, list[str | None]]() for _ in range(3))
         for entry in self.rows:
             if entry["blind"]:
-                (never if entry["no_campaign"] else blind).setdefault(entry["effect"], []).append(entry["joint"])
-        lines = [f"sees every effect of {BLIND_BEYOND:g} × repeatability that a campaign can show ({ASSUMED} assumed)"]
-        order = sorted(blind, key=lambda effect: (-len(blind[effect]), effect))
-        if blind:
-            lines = [f"blind to what stays unseen at {BLIND_BEYOND:g} × repeatability ({ASSUMED} assumed):"]
-        most = MOST_LINES - 2 - bool(never)
+                noisy = (entry["effect"], entry["joint"]) in self.noisy
+                group = hidden if noisy else taken if entry["no_campaign"] else asked
+                group.setdefault(entry["effect"], []).append(entry["joint"])
+        beyond, said = f"{BLIND_BEYOND:g} × repeatability", f"({ASSUMED} assumed)"
+        if asked:
+            lines = [f"blind to what stays unseen at {beyond} {said}:"]
+        elif hidden:
+            lines = [f"what stays unseen at {beyond}, no campaign in such noise shows either {said}:"]
+        else:
+            lines = [f"sees every effect of {beyond} that a campaign can show {said}"]
+        order = sorted(asked, key=lambda effect: (-len(asked[effect]), effect))
+        most = MOST_LINES - 2 - bool(hidden) - bool(taken)
         for effect in order[:most]:
-            lines.append(f"  {effect}{self._of(effect, blind[effect])}: add {TO_ADD[effect]}")
+            lines.append(f"  {effect}{self._of(effect, asked[effect])}: add {TO_ADD[effect]}")
         if left := order[most:]:
             lines.append(f"  and {', '.join(left)} (--visibility lists all)")
-        if never:
-            said = ", ".join(f"{effect}{self._of(effect, joints)}" for effect, joints in sorted(never.items()))
-            lines.append(f"  no campaign on this machine shows typical {said}: constants and compliances take them")
+        if hidden:
+            lines.append(f"  the noise hides {self._list(hidden)}: many more visits, or a better instrument")
+        if taken:
+            lines.append(
+                f"  no campaign on this machine shows typical {self._list(taken)}: constants and compliances take them"
+            )
         return lines
+
+    def _list(self, group: dict[str, list[str | None]]) -> str:
+        return ", ".join(f"{effect}{self._of(effect, joints)}" for effect, joints in sorted(group.items()))
 
     def _of(self, effect: str, joints: Sequence[str | None]) -> str:
         every = [name[1] for name in [*(s.name for s in self.seen), *self.absent] if name[0] == effect]
@@ -152,8 +168,9 @@ def foresee(plan: Plan, most: int = 12) -> Foresight:
         return found
     best = anything(plan)
     space = laid_out(typical_of(plan.machine, best, plan.machine.point(plan.machine.where_it_counts)), best)
-    never = [(e["effect"], e["joint"]) for e in foreseen(space, most).rows if e["blind"]]
-    return replace(found, never=frozenset(never))
+    unseen = {(e["effect"], e["joint"]): e["share"] for e in foreseen(space, most).rows if e["blind"]}
+    noisy = frozenset(name for name, share in unseen.items() if share > LEFT_OVER)
+    return replace(found, never=frozenset(unseen), noisy=noisy)
 
 
 def foreseen(space: Workspace, most: int = 12) -> Foresight:
@@ -193,7 +210,7 @@ def anything(plan: Plan) -> Recording:
         LoadCase(str(k), float(rng.uniform(0.0, heaviest)), tuple(rng.uniform(-far, far, 3).tolist()))
         for k in range(count)
     ]
-    hours = np.linspace(0.0, max(sum(plan.durations) / 3600.0, 1.0), count)
+    hours = np.linspace(0.0, max(sum(plan.durations) / 3600.0, HOURS), count)
     everything = np.ones((count, len(machine.targets)), dtype=bool)
     before = np.vstack([q[:1], q[:-1]])
     return pretended(machine, ["any"] * count, cases, q, approaches(q, before), hours, plan.script.settle_s, everything)

@@ -81,7 +81,7 @@ def figure_row(name: str, values: dict[str, Any]) -> str:
     return f"{name:16}" + "".join(f"{values[k]:10.3f}" for k in keys)
 
 
-def new_file(path: str, *inputs: str) -> Path:
+def new_file(path: str | Path, *inputs: str | Path) -> Path:
     """Where an answer may go: not over a recording, which may be hours of measuring. Raises BadInput, or the system's
     OSError, before anything is computed, not after."""
     out = _place(path, *inputs)
@@ -90,7 +90,7 @@ def new_file(path: str, *inputs: str) -> Path:
     return out
 
 
-def _place(path: str, *inputs: str) -> Path:
+def _place(path: str | Path, *inputs: str | Path) -> Path:
     """A file that can be written and is none of what is read."""
     out = Path(path)
     if not out.parent.is_dir():

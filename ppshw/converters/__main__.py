@@ -7,13 +7,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ppshw.cli.answers import new_file
 from ppshw.converters import hilti, ur5, ur10
 from ppshw.errors import PpshwError
+from ppshw.whole_file import BAD_PATH
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
+        new_file(args.out, args.source)
         if args.dataset == "hilti":
             visits = hilti.convert(args.source, args.out)
         elif args.dataset == "ur10":
@@ -23,6 +26,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except PpshwError as exc:
         print(exc, file=sys.stderr)
         return exc.exit_code
+    except OSError as exc:
+        print(f"{exc.filename or args.out}: {exc.strerror or exc}", file=sys.stderr)
+        return 2 if exc.errno in BAD_PATH else 1
     print(f"{args.out}: {visits} visits")
     return 0
 

@@ -69,14 +69,16 @@ class Tried:
     scale, seen  (K,)  of every column: rms at the reflectors per unit [m]; ZᵀV⁻¹Z
     unit         what sizes are measured in, rms at the reflectors [m]: `Workspace.unit`
     without      effects that were left out of the candidates
+    ruled_out    candidates that the force sensor's readings leave no room for: not tried
     """
 
     @all_kept()
     def __init__(
         self, space: Workspace, candidates: Sequence[Candidate], unit: float,
-        without: frozenset[str] = frozenset(),
+        without: frozenset[str] = frozenset(), ruled_out: Sequence[Candidate] = (),
     ) -> None:  # fmt: skip
         self.without = without
+        self.ruled_out = tuple(ruled_out)
         self.candidates = list(candidates)
         self.unit = unit
         self.space = space

@@ -38,6 +38,7 @@ SEEN_AT = 6.0
 NEVER = 1.0  # a size [m] that is no answer
 # Names are aliases when so much of what one shows is what another can show as well.
 ALIAS = 0.9
+OF_RULED_OUT = 48  # forms of the force sensor's error that stand for all, where its readings rule some out
 AT_A_TIME = 32  # names of which the scores of all columns are looked at: of all of them they are as much as the columns
 # √λ between two of them at which half of the recordings would say which (docs/prove.md, half power).
 TOLD_APART = 3.2
@@ -67,11 +68,12 @@ class Sight:
     name        (effect, joint)
     form        index of its typical form, the one of middling visibility
     share       of the typical form's squared size that is left after the base model; shares: a tenth and nine tenths
-                of its forms lie below
+                of its forms lie below, the typical one between
     seen_at     √λ of the typical form that 90 % find
-    detectable  rms at the reflectors that 90 % find [m], of the typical form; detectables: of its best and worst tenth
+    detectable  rms at the reflectors that 90 % find [m], of the typical form; detectables: of its best and worst tenth;
+                NEVER where the base model leaves nothing of such a form
     aliases     names a form of which shows ALIAS or more of what the typical form shows
-    visible     whether the base model leaves anything of the typical form; else the sizes are orders of magnitude
+    visible     whether the base model leaves anything of the typical form
     """
 
     name: Name
@@ -87,13 +89,22 @@ class Sight:
 
 def visibility(tried: Tried) -> list[dict[str, Any]]:
     """One row per effect and joint (contract §4), of the form of middling visibility; `share_range` and
-    `detectable_range_mm`: what four fifths of its forms, weighed by their shares, lie within."""
-    return [row(sight) for sight in sights(tried)]
+    `detectable_range_mm`: what four fifths of its forms, weighed by their shares, lie within. Forms that the force
+    sensor's readings rule out are no less visible."""
+    enough = least(tried)
+    seen = {sight.name: sight for sight in sights(tried, enough=enough)}
+    if tried.ruled_out:
+        names = {(k.effect, k.joint) for k in tried.ruled_out}
+        beside = [k for k in tried.candidates if (k.effect, k.joint) in names]
+        some, weights = thinned([*beside, *tried.ruled_out], OF_RULED_OUT)
+        every = Tried(tried.space, some, tried.unit)
+        seen |= {sight.name: sight for sight in sights(every, weights, tried, enough)}
+    return [row(sight) for sight in seen.values()]
 
 
 def row(sight: Sight) -> dict[str, Any]:
     """A sight in the contract's words; millimetres, NEVER where no size below would show."""
-    sizes = [1e3 * min(x if sight.visible else NEVER, NEVER) for x in (sight.detectable, *sight.detectables)]
+    sizes = [1e3 * min(x, NEVER) for x in (sight.detectable, *sight.detectables)]
     return {
         "effect": sight.name[0], "joint": sight.name[1], "share": sight.share,
         "detectable_mm": sizes[0],
@@ -102,11 +113,17 @@ def row(sight: Sight) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
+def sights(
+    tried: Tried, weights: Array | None = None, among: Tried | None = None, enough: float | None = None
+) -> list[Sight]:
     """How well every name is seen, given the base model alone.
 
     weights  (C,) how many forms each candidate stands for; the candidates' shares by default
+    among    where the aliases are looked for, where `tried` is only some names
+    enough   the evidence that a first finding needs: of `tried` by default
     """
+    among = among or tried
+    enough = least(tried) if enough is None else enough
     weights = np.array([k.share for k in tried.candidates]) if weights is None else weights
     seen, shares = _of_forms(tried)
     names = [j for j, name in enumerate(tried.names) if name[0] != "nameless"]
@@ -115,24 +132,25 @@ def sights(tried: Tried, weights: Array | None = None) -> list[Sight]:
     forms = np.array([middle for _, middle, _ in spread], dtype=int)
     if not len(forms):
         return []
-    enough, needed, alike = least(tried), np.empty(len(names)), np.empty((len(names), len(tried.names)))
+    needed, alike = np.empty(len(names)), np.empty((len(names), len(among.names)))
     for at in range(0, len(names), AT_A_TIME):
         part = slice(at, at + AT_A_TIME)
-        scores = across(tried, directions(tried, forms[part]))
-        needed[part] = _needed(tried, np.array(names[part]), scores, enough) + NINE_OF_TEN
-        alike[part] = mimicked(tried, scores)
+        along = directions(tried, forms[part])
+        needed[part] = _needed(tried, np.array(names[part]), across(tried, along), enough) + NINE_OF_TEN
+        alike[part] = mimicked(among, across(among, along))
     needed[seen[forms] == 0.0] = SEEN_AT  # nothing of the form is left: for the order of magnitude
     out = []
     for a, (j, three) in enumerate(zip(names, spread, strict=True)):
-        best, typical, worst = (needed[a] * _rms(tried, k) / np.sqrt(max(seen[k], 1e-12)) for k in reversed(three))
-        middle = three[1]
-        visible = seen[middle] > 0.0
-        aliases = tuple(tried.names[b] for b in names if visible and b != j and alike[a, b] > ALIAS)
+        sizes = (float(needed[a] * _rms(tried, k) / np.sqrt(seen[k])) if seen[k] > 0.0 else NEVER for k in three)
+        worst, typical, best = sizes
+        name, middle = tried.names[j], three[1]
+        visible, share = bool(seen[middle] > 0.0), float(shares[middle])
+        aliases = [other for other, how in zip(among.names, alike[a], strict=True) if how > ALIAS and other != name]
+        low, high = _tenths(tried.name_of == j, shares, weights)
         out.append(
             Sight(
-                tried.names[j], middle, float(shares[middle]), _tenths(tried.name_of == j, shares, weights),
-                float(needed[a]), float(typical), (float(min(best, typical)), float(max(worst, typical))), aliases,
-                bool(visible),
+                name, middle, share, (min(low, share), max(high, share)), float(needed[a]), typical,
+                (min(best, typical), max(worst, typical)), tuple(aliases) if visible else (), visible,
             )
         )  # fmt: skip
     return out

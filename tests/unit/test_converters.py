@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import sqlite3
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -432,6 +433,23 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path: Path, capsys:
         assert error.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_neither_the_published_file_nor_a_recording_is_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = ur10_file(tmp_path / "in.csv", ur10_row())
+    recording = tmp_path / "r.db"
+    with sqlite3.connect(recording) as database:
+        database.execute("create table visits (k)")
+    kept = source.read_bytes(), recording.read_bytes()
+    assert main(["ur10", str(source), str(source)]) == 2
+    assert capsys.readouterr().err == f"{source}: is what is read here, expected another file to write\n"
+    assert main(["ur10", str(source), str(recording)]) == 2
+    assert capsys.readouterr().err == f"{recording}: is a recording already, expected another file to write\n"
+    assert (source.read_bytes(), recording.read_bytes()) == kept
+    assert main(["ur10", str(source), str(tmp_path / "nowhere" / "out.csv")]) == 2
+    assert "nowhere does not exist\n" in capsys.readouterr().err
 
 
 def test_a_cell_that_is_no_number_is_named_by_line_and_column(tmp_path: Path) -> None:

@@ -126,6 +126,26 @@ def test_the_diagnosis_campaign_turns_back_within_a_hundredth_of_every_travel(ma
         assert (np.diff(np.sign(small)) != 0).sum() >= 3
 
 
+def test_what_the_noise_hides_is_not_laid_on_constants_and_compliances(machine: Machine, tmp_path: Path) -> None:
+    """A tracker of three millimetres: of backlash the base model leaves more than half, and nobody sees it."""
+    coarse = replace(machine, tracker=replace(machine.tracker, position_sigma=3e-3))
+    found = foresee(planned(RANDOM, coarse, tmp_path))
+    assert ("backlash", "lateral") in found.noisy
+    assert ("moving_weight", "lateral") in found.never - found.noisy
+    lines = "\n".join(found.warnings())
+    assert "sees every" not in lines
+    assert "the noise hides backlash of " in lines
+    taken = next(line for line in found.warnings() if "constants and compliances take them" in line)
+    assert "backlash" not in taken
+    assert "moving_weight of lateral" in taken
+
+
+def test_a_short_campaign_is_told_to_hold_its_loads(machine: Machine, tmp_path: Path) -> None:
+    """Creep shows to who waits; it was said that no campaign shows it, because 450 visits of an hour do not."""
+    found = foresee(planned(RANDOM, machine, tmp_path))
+    assert ("creep", "yaw") not in found.never
+
+
 def test_what_no_campaign_shows_is_not_asked_for(seen: Foresight) -> None:
     asked = "\n".join(line for line in seen.warnings() if ": add " in line)
     assert "moving_weight of lateral" not in asked

@@ -9,6 +9,7 @@ from campaigns.foresight import foresee
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.visibility import (
+    NEVER,
     Alias,
     across,
     alias_words,
@@ -115,7 +116,28 @@ def test_rows_say_what_the_contract_asks_for(tried: Tried) -> None:
     rows = visibility(tried)
     assert {"effect", "joint", "share", "detectable_mm", "aliases"} <= set(rows[0])
     assert all(0.0 <= r["share"] <= 1.0 and r["detectable_mm"] > 0 for r in rows)
-    assert all(r["share_range"][0] <= r["share_range"][1] for r in rows)
+    assert all(r["share_range"][0] <= r["share"] <= r["share_range"][1] for r in rows)
+    assert all(r["detectable_range_mm"][0] <= r["detectable_mm"] <= r["detectable_range_mm"][1] for r in rows)
+
+
+def test_a_best_tenth_that_shows_is_said_where_the_typical_form_does_not(tried: Tried) -> None:
+    hidden = [s for s in sights(tried) if not s.visible]
+    assert all(s.detectable == NEVER and not s.aliases for s in hidden)
+    assert any(s.detectables[0] < 1e-2 for s in hidden)
+
+
+def test_forms_that_the_readings_of_a_sensor_rule_out_are_no_less_visible(tried: Tried) -> None:
+    of_sensor = [k for k in tried.candidates if k.effect == "wrench_error"]
+    others = [k for k in tried.candidates if k.effect != "wrench_error"]
+    whole = next(r for r in visibility(tried) if r["effect"] == "wrench_error")
+    worst = sorted(of_sensor, key=lambda k: float(tried.seen[tried.index[tried.candidates.index(k)]].sum()))[:1]
+    out = [k for k in of_sensor if k is not worst[0]]
+    rest = Tried(tried.space, others + worst, tried.unit, ruled_out=out)
+    rows = visibility(rest)
+    assert [(r["effect"], r["joint"]) for r in rows] == [s.name for s in sights(rest)]
+    mine = next(r for r in rows if r["effect"] == "wrench_error")
+    assert mine["detectable_mm"] == pytest.approx(whole["detectable_mm"], rel=0.1)
+    assert mine["share"] == whole["share"]
 
 
 def test_fewer_forms_of_a_name_stand_for_all_of_them(tried: Tried) -> None:
