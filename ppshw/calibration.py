@@ -141,6 +141,14 @@ class Calibration:
             )
         return said
 
+    def point(self, name: str) -> Array:
+        """(3,) a named point in the end-effector frame: a target where it was identified to be, another one where the
+        machine file has it. Raises MachineFileError where there is no such point."""
+        machine = self.machine
+        if name in machine.points or name not in machine.targets:
+            return machine.point(name)
+        return np.asarray(self.model.targets(self.theta)[list(machine.targets).index(name)])
+
     def other_sides(self, approach: NDArray[Any]) -> list[str]:
         """A line for each joint that comes, by the sign of `approach` (n,), from another side than it was ever measured
         from, or from a side that nobody knows: what it loses when it turns back no recording says."""

@@ -69,13 +69,23 @@ def measured_point(recording: Recording, machine: Machine, point: str) -> Array:
     return np.asarray(recording.points[:, recording.target_names.index(point)])
 
 
-def point_errors(recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None) -> Array:
+def point_errors(
+    recording: Recording, machine: Machine, point: str, measuring_in_base: Array | None = None,
+    where: Array | None = None,
+) -> Array:  # fmt: skip
     """Measured minus wanted at a point of the end effector.
 
     measuring_in_base  (4, 4) where the instrument stands; needed when the machine file says `base: estimate`, then
                        that of the calibration. An error of the whole machine hides in it: figures that flatter.
+    where              (3,) where the point sits on the end effector; needed for a target when the machine file says
+                       `targets: estimate`, then `Calibration.point`                                            [m]
     returns            (N, 3) base frame, nan where the reflector was lost   [m]
     """
+    if where is None and not machine.tracker.targets_known and point in machine.targets:
+        raise RecordingError(
+            f"{recording.source}: the machine file leaves open where the target '{point}' sits (tracker.targets: "
+            "estimate) and there is no calibration that knows"
+        )
     frame = machine.tracker.base if machine.tracker.base is not None else measuring_in_base
     if frame is None:
         raise RecordingError(
@@ -83,7 +93,8 @@ def point_errors(recording: Recording, machine: Machine, point: str, measuring_i
             "and there is no calibration that places it"
         )
     measured = to_base(measured_point(recording, machine, point), frame)
-    ideal = point_positions(machine, wanted_joints(recording), machine.point(point)[None])[:, 0]
+    place = machine.point(point) if where is None else where
+    ideal = point_positions(machine, wanted_joints(recording), place[None])[:, 0]
     return np.asarray(measured - ideal)
 
 
@@ -95,7 +106,8 @@ def returns_of(recording: Recording, machine: Machine, point: str, measuring_in_
 
     measuring_in_base  (4, 4) as in `point_errors`
     """
-    errors = point_errors(recording, machine, point, measuring_in_base)
+    # where a point sits moves all visits of a pose alike
+    errors = point_errors(recording, machine, point, measuring_in_base, machine.point(point))
     wanted = np.round(wanted_joints(recording), POSE_DECIMALS)
     keys = [(load, *pose) for load, pose in zip(recording.load, wanted.tolist(), strict=True)]
     members: dict[tuple[Any, ...], list[int]] = {}

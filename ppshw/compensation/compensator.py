@@ -139,13 +139,14 @@ class Compensator:
     ) -> Setpoints:
         """Setpoints that bring a named point's frame to `wanted`.
 
-        wanted   (4, 4) of the point (its axes are the end effector's) in the base frame
+        wanted   (4, 4) of the point (its axes are the end effector's) in the base frame; a target is where it was
+                 identified to be
         payload  (6,) on the sensor, sensor frame, at that pose    [N, N·m]
         Raises CompensationRefused: out of reach of the ideal machine, beyond a limit, outside what was identified (a
         temperature far outside), too large a correction, one that leaves the point farther off than none, or (position
         first) none found.
         """
-        offset = transform(np.eye(3), self.machine.point(point))
+        offset = transform(np.eye(3), self.calibration.point(point))
         wanted_tip = wanted @ inverse(offset)
         nominal = nominal_joints(self.machine, wanted_tip, near)
         return self._correct(wanted_tip, nominal, payload, point, given or Circumstances())
@@ -170,7 +171,7 @@ class Compensator:
             self.known.refuse_far(now)
         if self.known is not None and given.past is None:
             past = self.known.loaded_for(now, given.loaded_for, given.start, given.before, given.lay_before)
-        where = self.machine.point(point)[None]
+        where = self.calibration.point(point)[None]
         q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
         if not self.position_first and np.abs(left).max() > 1e-5:
             raise CompensationRefused(f"no corrected setpoint was found for the pose: {amount(left[0])} are left")

@@ -67,7 +67,7 @@ def compute(contents: Contents) -> Numbers:
     into `notes`. Raises RecordingError where wanted joint values of the identification recording are incomplete.
     """
     machine, point, calibration = contents.machine, contents.point, contents.calibration
-    frame = None if calibration is None else calibration.measuring_in_base
+    frame, where = (None, None) if calibration is None else (calibration.measuring_in_base, calibration.point(point))
     errors: dict[str, Array] = {}
     accuracy: dict[str, dict[str, float]] = {}
     notes: list[str] = []
@@ -75,7 +75,7 @@ def compute(contents: Contents) -> Numbers:
     for stem, case in CASES.items():
         if recording := contents.recordings.get(stem):
             try:
-                errors[case] = point_errors(recording, machine, point, frame)
+                errors[case] = point_errors(recording, machine, point, frame, where)
                 seen = int(np.isfinite(errors[case]).all(axis=1).sum())
                 accuracy[case] = {**figures(errors[case]), "visits": seen}
             except RecordingError as why:

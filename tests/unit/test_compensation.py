@@ -9,12 +9,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
 from ppshw.compensation.inverse import nominal_joints, solve_pose
-from ppshw.errors import CompensationRefused
+from ppshw.errors import CompensationRefused, MachineFileError
 from ppshw.identification import identify
 from ppshw.kinematics import freedoms, tip_poses
 from ppshw.machine import load_machine
@@ -107,6 +108,26 @@ def test_which_point_is_asked_for_changes_the_prediction_and_not_the_setpoints(c
         np.testing.assert_allclose(one.corrected, found["tip"].corrected, atol=1e-9)
     lengths = {point: np.linalg.norm(one.predicted_error) for point, one in found.items()}
     assert lengths["treatment"] > 1.2 * lengths["tip"]  # 0.85 m further out on the couch
+
+
+def test_a_target_is_brought_where_it_is_wanted_though_the_file_has_it_elsewhere(tmp_path: Path) -> None:
+    """`targets: estimate`: the file's P1 is a start, 3 mm off."""
+    plant = Plant.from_file(MACHINES / "pps.yaml", seed=11, repeatability=0.0)
+    file = yaml.safe_load((MACHINES / "pps.yaml").read_text(encoding="utf-8"))
+    file["tracker"]["targets"] = "estimate"
+    file["tip"]["targets"]["P1"][0] += 3e-3
+    (tmp_path / "machine.yaml").write_text(yaml.safe_dump(file), encoding="utf-8")
+    machine = load_machine(tmp_path / "machine.yaml")
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 80, np.random.default_rng(1), "mixed", visits_per_load=5)
+    recording = load_recording(csv, machine)
+    compensator = Compensator(Calibration.of(identify(machine, recording), recording, "joint"))
+    tip, _ = pose_of(POSE)
+    wanted = tip @ from_xyz_rpy(np.array([0.1, 0.0, 0.05]), np.zeros(3))
+    found = compensator.for_pose(wanted, PATIENT, "P1", near=POSE)
+    real = plant.true_points(found.corrected, PATIENT, names=["P1"])["P1"][0]
+    assert np.linalg.norm(real - wanted[:3, 3]) < 3e-4
+    with pytest.raises(MachineFileError, match="no point named 'P9'"):
+        compensator.for_pose(wanted, PATIENT, "P9", near=POSE)
 
 
 def test_the_predicted_error_is_the_plant_s(couch: Compensator) -> None:

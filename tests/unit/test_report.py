@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import sqlite3
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
@@ -110,6 +111,19 @@ def test_an_open_measuring_frame_is_taken_from_the_calibration_or_refused(tmp_pa
         point_errors(made, machine, "treatment")
     placed = point_errors(made, machine, "treatment", np.eye(4))
     assert placed[0] == pytest.approx([0, 0, 1e-3], abs=1e-12)
+
+
+def test_where_reflectors_sit_is_taken_from_the_calibration_or_refused_where_the_file_leaves_it_open(
+    tmp_path: Path,
+) -> None:
+    machine = slide(tmp_path)
+    machine = replace(machine, tracker=replace(machine.tracker, targets_known=False, base=np.eye(4)))
+    # 3 mm along the end effector's x, which is the base's y; the machine stands 0.1 mm too far
+    made = recording(tmp_path, machine, "q_cmd_s,P1_x,P1_y,P1_z", "0.5,0.5001,0.003,0")
+    with pytest.raises(RecordingError, match=r"where the target 'P1' sits \(tracker\.targets: estimate\)"):
+        point_errors(made, machine, "P1")
+    errors = point_errors(made, machine, "P1", where=np.array([3e-3, 0.0, 0.0]))
+    assert errors[0] == pytest.approx([1e-4, 0, 0], abs=1e-12)
 
 
 # Repeatability -------------------------------------------------------------------------------------------------------
