@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -128,15 +129,22 @@ def _corrected(
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
     lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
-    if compensator.position_first:
+    if compensator.position_first or setpoints.at_odds:
         off, turned = setpoints.left[:3] * 1e3, setpoints.left[3:] * 1e3
         answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}
-        stay = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
-        lines.append(f"{a.point}: {stay}, which {many(machine.n, 'joint')} cannot put right")
+        left = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
+        lines.append(f"{a.point}: {left}, {why_it_stays(setpoints.at_odds, many(machine.n, 'joint'))}")
     if a.wrench is NO_LOAD:
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
     return answer, folded(lines)
+
+
+def why_it_stays(at_odds: Sequence[str], joints: str) -> str:
+    """In words, why setpoints leave something of a pose: joints at odds with themselves, or too few of them."""
+    if at_odds:
+        return f"as either side's setpoint of {', '.join(at_odds)} brings it there from the other side"
+    return f"which {joints} cannot put right"
 
 
 def compensate(a: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from shutil import get_terminal_size
 from typing import Any
 
 from ppshw.cli.answers import new_recording, say, warn
-from ppshw.cli.setpoints import check_point, run_up
+from ppshw.cli.setpoints import check_point, run_up, why_it_stays
 from ppshw.errors import BadInput, HardwareError
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
@@ -47,11 +47,11 @@ def run(a: argparse.Namespace) -> None:
         answer |= {"compensated": correct.as_dicts(True), "not_compensated": correct.as_dicts(False)}
         answer["warnings"] = warnings
         lines += [f"{v.heading()}, {many(n, 'visit')}: {v.sentence()}" for v, n in correct.said]
-        if correct.position_first and result.measured:
+        if (correct.position_first or correct.at_odds) and result.measured:
             off, turned = (correct.left * 1e3).tolist()
             answer |= {"most_left_mm": off, "most_left_mrad": turned}
-            stay = f"at most {off:.3f} mm and {turned:.3f} mrad stay"
-            lines.append(f"{correct.point}: {stay}, which the joints cannot put right")
+            left = f"at most {off:.3f} mm and {turned:.3f} mrad stay"
+            lines.append(f"{correct.point}: {left}, {why_it_stays(correct.at_odds, 'the joints')}")
     say(a, answer, folded(lines))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
-from ppshw.compensation.inverse import POSITION_TOLERANCE, EffectErrors, amount, nominal_joints, solve_pose
+from ppshw.compensation.inverse import POSITION_TOLERANCE, EffectErrors, amount, left_of, nominal_joints, solve_pose
 from ppshw.compensation.known_effects import KnownEffects, Verdict
 from ppshw.compensation.past import Moment, Past, Signs, approach_of
 from ppshw.errors import CompensationRefused
@@ -60,8 +60,9 @@ class Setpoints:
     """corrected and nominal (n,) [m, rad]; predicted_error (3,) of the point without correction, base axes [m];
     left (6,) of it after correction: the point's position, and the rotation vector of its frame [m, rad];
     std (3,) of the point's position after correction [m]: the model's uncertainty, and what effects may do by what is
-    not known; approach (n,) the direction that every
-    joint comes from by, as far as known; effects: what a diagnosis had found, taken out or not, and why."""
+    not known; approach (n,) the direction that every joint comes from by, as far as known; effects: what a diagnosis
+    had found, taken out or not, and why; at_odds: joints that the setpoint for either side brings from the other, which
+    leaves `left`."""
 
     corrected: Array
     nominal: Array
@@ -70,6 +71,7 @@ class Setpoints:
     std: Array
     approach: Signs
     effects: tuple[Verdict, ...] = ()
+    at_odds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -172,9 +174,7 @@ class Compensator:
         if self.known is not None and given.past is None:
             past = self.known.loaded_for(now, given.loaded_for, given.start, given.before, given.lay_before)
         where = self.calibration.point(point)[None]
-        q, left, now = self._solved(wanted_tip, start, now, past, given, where[0] if self.position_first else None)
-        if not self.position_first and np.abs(left).max() > 1e-5:
-            raise CompensationRefused(f"no corrected setpoint was found for the pose: {amount(left[0])} are left")
+        q, left, now, at_odds = self._solved(wanted_tip, start, now, past, given, where[0])
         self._refuse_correction(q[0], nominal)
         uncorrected = self._effected(replace(now, q=nominal), past, where).positions[0, 0]
         ideal = point_positions(self.machine, start, where)
@@ -186,7 +186,9 @@ class Compensator:
             raise CompensationRefused(
                 f"the correction would leave '{point}' {distance(with_it)} off, without it is {distance(without)}"
             )
-        return Setpoints(q[0], nominal, error, -left[0], np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts)
+        return Setpoints(
+            q[0], nominal, error, -left[0], np.sqrt(np.maximum(variance, 0.0)), now.approach, verdicts, at_odds,
+        )  # fmt: skip
 
     def _moment(self, q: Array, payload: Array, given: Circumstances) -> Moment:
         around = given.around
@@ -195,23 +197,44 @@ class Compensator:
         return Moment(q, _approach(q, given), payload, *said, given.last_way, given.seen_to)
 
     def _solved(
-        self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances, first: Array | None
-    ) -> tuple[Array, Array, Moment]:
-        """The setpoints (1, n), what they leave (1, 6), and the moment with the approach that they bring about.
+        self, wanted_tip: Array, start: Array, now: Moment, past: Past, given: Circumstances, where: Array
+    ) -> tuple[Array, Array, Moment, tuple[str, ...]]:
+        """The setpoints (1, n), what they leave (1, 6), the moment with the approach that they bring about, and the
+        joints that are at odds.
 
         The correction may turn the direction that a joint comes from; then that direction's own correction is taken.
-        Where neither direction agrees with itself (a move of less than the lost motion) the last one tried stands.
+        Where neither direction agrees with itself (a gap that runs ahead, and the joint nearly where it is wanted) the
+        joint is left where it stands, or sent to the last one tried, whichever leaves less as it really comes.
         """
-        payload = now.payload[None]
+        payload, first = now.payload[None], where if self.position_first else None
+        tries, odd = [], np.zeros(len(now.q), dtype=bool)
         for _ in range(3):
             q, left = solve_pose(
                 self.machine, wanted_tip[None], start, self.calibration, payload, self._effects(now, past), first
             )
-            approach = _approach(q[0], given)
-            if self.known is None or np.array_equal(approach, now.approach):
+            if self.known is None:
                 break
-            now = replace(now, approach=approach)
-        return q, left, now
+            came, now = now.approach, replace(now, approach=_approach(q[0], given))
+            odd = self.known.sided & (now.approach != came)
+            if not odd.any():
+                break
+            tries = [q[0]] if given.start is None else [q[0], np.where(odd, given.start, q[0])]
+        if not self.position_first and np.abs(left).max() > 1e-5:
+            raise CompensationRefused(
+                f"no corrected setpoint was found for the pose: of the nearest {amount(left[0])} are left; "
+                f"'{self.machine.name}' may stand nearly stretched there, or in another singular pose"
+            )
+        if not odd.any():
+            return q, left, now, ()
+        found = []
+        for one in tries:
+            now = replace(now, q=one, approach=_approach(one, given))
+            effects = self._effects(now, past)
+            left = left_of(self.machine, wanted_tip[None], one[None], self.calibration, payload, effects, where)
+            found.append((one[None], left, now))
+        seen = slice(3 if self.position_first else 6)  # angles count as on a lever of a metre
+        nearest = min(found, key=lambda each: float(np.linalg.norm(each[1][0, seen])))
+        return *nearest, tuple(name for name, is_odd in zip(self.machine.joint_names, odd, strict=True) if is_odd)
 
     def _effects(self, now: Moment, past: Past) -> EffectErrors | None:
         known = self.known

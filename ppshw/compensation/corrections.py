@@ -34,6 +34,7 @@ class Corrections:
     point           what fewer than six joints bring to its place; by default the machine's `where_it_counts`
     left            (2,) the most that any of them left of the end-effector frame's position and orientation [m, rad]
     position_first  as the compensator's
+    at_odds         joints that were, at any of the setpoints (`Setpoints.at_odds`)
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Corrections:
             self._past = compensator.known.past_of(self._visits)
         self._said: dict[tuple[str, str | None, str], tuple[Verdict, int]] = {}
         self.position_first, self.left = compensator.position_first, np.zeros(2)
+        self.at_odds: list[str] = []
 
     @property
     def said(self) -> list[tuple[Verdict, int]]:
@@ -114,6 +116,7 @@ class Corrections:
     def _corrected(self, wanted: Array, payload: Array, given: Circumstances) -> Setpoints:
         found = self._compensator.for_joints(wanted, payload, self.point, given)
         self.left = np.maximum(self.left, np.linalg.norm(found.left.reshape(2, 3), axis=1))
+        self.at_odds += [joint for joint in found.at_odds if joint not in self.at_odds]
         return found
 
 

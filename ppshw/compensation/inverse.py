@@ -27,6 +27,7 @@ REACHED, REACHED_IF_ROUNDED = 1e-6, 1e-4  # m, rad
 # A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
 AT_NEAREST = 1e-7
 AT_LIMIT = 1e-9  # m, rad
+A_TIE = 1e-6  # of what is left: of two as near the later one
 # Where effects change faster with the joints than the joints themselves do (a screw whose error is steep) they count in
 # the slope too, by differences over so little [m, rad], from so many starts about where the plain steps went.
 LITTLE, STARTS, STEPS, HALVINGS = 1e-7, 12, 20, 8
@@ -53,33 +54,24 @@ def solve_pose(
                 orientation alike, which can be had
                 Where plain steps, which leave the effects' slopes out, come to no rest, slopes by differences are tried
     returns     (N, n) joint values, (N, 6) what is left: of the position, of the point if there is one, and the
-                rotation vector, base axes [m, rad]; without a point not converged where that is large
+                rotation vector, base axes [m, rad]; without a point of the nearest met, not converged where it is large
     Raises CompensationRefused where a point is given and Newton's method comes to no rest (near singular poses).
     """
     q = np.array(start, dtype=float)
     offset = np.zeros(3) if point is None else point
     share = np.repeat([1.0, 1.0 if point is None else POSITION_FIRST], 3)
-    wanted = wanted_tip[:, :3, 3] + wanted_tip[:, :3, :3] @ offset
     left, went = np.zeros((len(q), 6)), []
 
     def stands(q: Array) -> tuple[Array, Array, Array]:
-        """Frames and the point with all errors, and what is left (N, 6) of the wanted pose."""
-        errors = None
-        if calibration is not None:
-            assert payload is not None
-            errors, wrenches = calibration.model.errors(Situation(q, payload), calibration.theta)
-            if effects is not None:
-                errors = errors + effects(q, errors, wrenches)
-        chain = frames(machine, q, errors)
-        tip = chain[:, -1] @ machine.tip_in_link
-        reached = tip[:, :3, 3] + tip[:, :3, :3] @ offset
-        turned = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
-        return chain, reached, np.concatenate([wanted - reached, turned], axis=1)
+        return _stands(machine, wanted_tip, q, calibration, payload, effects, offset)
 
+    nearest = q, np.full((len(q), 6), np.inf)
     for _ in range(30):
         chain, reached, left = stands(q)
         if _is_reached(left):
             break
+        closer = (np.linalg.norm(left, axis=1) <= (1.0 + A_TIE) * np.linalg.norm(nearest[1], axis=1))[:, None]
+        nearest = np.where(closer, q, nearest[0]), np.where(closer, left, nearest[1])
         went.append(q)
         there = reached
         if point is not None:  # errors would lend the joints ways, and levers, that they have by a thousandth only
@@ -110,7 +102,35 @@ def solve_pose(
             )
         if effects is not None:
             return _by_slopes(lambda q: stands(q[None])[2][0], np.concatenate(went))
+        return nearest
     return q, left
+
+
+def left_of(
+    machine: Machine, wanted_tip: Array, q: Array, calibration: Calibration, payload: Array,
+    effects: EffectErrors | None, point: Array,
+) -> Array:  # fmt: skip
+    """(1, 6) what joint values q (1, n) leave of a wanted pose, at a point; arguments as of `solve_pose`."""
+    return _stands(machine, wanted_tip, q, calibration, payload, effects, point)[2]
+
+
+def _stands(
+    machine: Machine, wanted_tip: Array, q: Array, calibration: Calibration | None, payload: Array | None,
+    effects: EffectErrors | None, offset: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Frames and the point with all errors, and what is left (N, 6) of the wanted pose."""
+    errors = None
+    if calibration is not None:
+        assert payload is not None
+        errors, wrenches = calibration.model.errors(Situation(q, payload), calibration.theta)
+        if effects is not None:
+            errors = errors + effects(q, errors, wrenches)
+    chain = frames(machine, q, errors)
+    tip = chain[:, -1] @ machine.tip_in_link
+    reached = tip[:, :3, 3] + tip[:, :3, :3] @ offset
+    turned = rotation_vector(wanted_tip[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
+    wanted = wanted_tip[:, :3, 3] + wanted_tip[:, :3, :3] @ offset
+    return chain, reached, np.concatenate([wanted - reached, turned], axis=1)
 
 
 def _is_reached(left: Array) -> bool:

@@ -92,6 +92,7 @@ class KnownEffects:
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
         self.looks_back = any(_looks_back(c) for c in columns)
+        self.sided = np.isin(np.arange(model.machine.n), _joints(columns, FROM_APPROACH))  # (n,) by the side come from
         self._creeps = any(e.name == "creep" for e in effects)
         # only those ask for the links' compliances
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)

@@ -108,6 +108,29 @@ def test_the_direction_may_be_given_without_the_start() -> None:
     assert np.linalg.norm(both[0].std) > np.linalg.norm(asked(Compensator(base()[1])).std)
 
 
+@pytest.mark.parametrize("lateral", [-0.05, 0.05])
+def test_a_joint_that_runs_ahead_is_left_where_it_stands_rather_than_sent_past_its_gap(lateral: float) -> None:
+    """Either side's setpoint of a joint that is to stay where it is asks for the other side; it was sent a whole gap
+    the wrong way, and nothing said so."""
+    plant, _ = base()
+    column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    compensator = knowing("backlash", "vertical", column, GAP / 2)
+    stands = asked(compensator, start=BELOW)
+    assert stands.at_odds == ()
+    wanted = POSE + np.array([lateral, 0, 0, 0, 0, 0])
+    given = Circumstances(start=stands.corrected, before=stands.approach)
+    found = compensator.for_joints(wanted, payload(), "treatment", given)
+    moved = found.corrected[VERTICAL] - stands.corrected[VERTICAL]
+    assert abs(moved) < 5e-5
+    wrong = np.zeros((1, 6, 6))
+    wrong[0, VERTICAL, TY] = (1 if moved >= 0 else -1) * GAP / 2
+    real = plant.true_points(found.corrected, LOAD, wrong, ["treatment"])["treatment"][0]
+    off = np.linalg.norm(real - plant.nominal_points(wanted, ["treatment"])["treatment"][0])
+    assert off < 7e-5
+    assert np.linalg.norm(found.left[:3]) < 5e-5
+    assert found.at_odds == (("vertical",) if moved == 0 else ())
+
+
 def test_where_the_direction_is_unknown_the_middle_is_taken_and_said() -> None:
     found = asked(lost_motion())
     np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
@@ -814,6 +837,24 @@ def test_a_zero_that_hops_is_taken_as_it_was_left_and_nobody_knows_where_it_is(t
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
+def test_the_command_says_what_stays_of_a_joint_that_runs_ahead(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    column = Column("frame", "approach", {"joint": VERTICAL}, VERTICAL + 1, TY)
+    compensator = knowing("backlash", "vertical", column, GAP / 2)
+    compensator.calibration.save(tmp_path / "cal.json")
+    start = asked(compensator, start=BELOW).corrected + np.array([0, 1e-5, 0, 0, 0, 0])
+    words = ["compensate", "--machine", str(PPS), "--calibration", str(tmp_path / "cal.json"), "--joints",
+             *map(str, POSE), "--wrench", *map(str, payload()), "--from", *map(str, start)]  # fmt: skip
+    assert main(words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "mrad stay, as either side's setpoint of vertical brings it there from the other side" in said
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["setpoints"]["vertical"] == start[VERTICAL]
+    assert 0.1 < np.linalg.norm(found["left_mm"]) < 0.2  # half the gap: nobody says which side it stands on
+
+
 def test_the_command_takes_the_start_and_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lost_motion().calibration.save(tmp_path / "cal.json")
     common = ["compensate", "--machine", str(PPS), "--calibration", str(tmp_path / "cal.json"), "--joints",
