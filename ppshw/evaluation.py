@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ppshw.calibration import Calibration
+from ppshw.calibration import Calibration, Identified
 from ppshw.errors import RecordingError
 from ppshw.identification.plausible import far_off
 from ppshw.identification.start import align, to_base
@@ -172,7 +172,7 @@ def evaluate(
         answer["points"] = points
     if calibration is not None:
         answer["identified_from_it"] = recording.sha256 == calibration.provenance.get("recording_sha256")
-        answer["outside"] = _outside(recording, calibration)
+        answer["outside"] = outside(recording, calibration)
     if calibration is None or not calibration.effects:
         return answer
     whole, rows = calibration.continued(recording)
@@ -199,20 +199,33 @@ def _goes_by_time(column: Column) -> bool:
     return column.function in COURSES or at_moments or column.args.get("since", -1.0) >= 0.0
 
 
-def _outside(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
+def inside(recording: Recording, calibration: Calibration) -> NDArray[np.bool_]:
+    """(N,) which visits lie within what was identified, joints and loads."""
+    out = [each.is_outside(values) for each, values in _identified(recording, calibration)]
+    return np.asarray(~np.any(out, axis=0))
+
+
+def outside(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
     """Per joint and load component that goes beyond what was identified: that range, how many visits with a reading lie
     outside it, and the value farthest out. Those with most visits first."""
     seen = recording.measured
-    known = zip([*calibration.identified_joints(), *calibration.identified_loads()],
-                np.hstack([recording.q, recording.wrench]).T, strict=True)  # fmt: skip
     out = []
-    for each, values in known:
+    for each, values in _identified(recording, calibration):
         there = values[each.is_outside(values) & seen]
         if len(there):
             farthest = there[np.argmax(np.maximum(each.low - there, there - each.high))]
             out.append({"of": each.name, "unit": each.unit, "low": each.low, "high": each.high,
                         "visits": len(there), "farthest": float(farthest)})  # fmt: skip
     return sorted(out, key=lambda found: -found["visits"])
+
+
+def _identified(recording: Recording, calibration: Calibration) -> list[tuple[Identified, Array]]:
+    """What was identified of every joint and, where the recording tells it, component of the load, each with the values
+    (N,) there."""
+    found = list(zip(calibration.identified_joints(), recording.q.T, strict=True))
+    if recording.has_wrench:
+        found += zip(calibration.identified_loads(), recording.wrench.T, strict=True)
+    return found
 
 
 def _beyond(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:

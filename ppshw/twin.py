@@ -15,9 +15,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.calibration import Calibration
 from ppshw.diagnosis.checks import Check, check
-from ppshw.diagnosis.replicas import Compared, Single, Wrong
+from ppshw.diagnosis.replicas import Compared, Single, Wrong, visits_of
 from ppshw.errors import CalibrationError
-from ppshw.evaluation import laid_over, predicted
+from ppshw.evaluation import inside, laid_over, predicted
 from ppshw.identification.joint import believed_to
 from ppshw.identification.noise import half
 from ppshw.identification.start import to_base
@@ -85,22 +85,28 @@ def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> li
     """The checks of a recording against replicas of its twin, the calibration as it stands: nothing is fitted.
 
     Of the very recording that it was identified from, it already took what it could; of any other it may be wrong by
-    its own uncertainty. Both are in the replicas.
+    its own uncertainty. Both are in the replicas. Of another one those visits are compared that lie within what was
+    identified; where there are none, all.
     """
-    return check(compared(calibration, recording.subset(recording.measured)), seed)[0]
+    return check(compared(calibration, recording), seed)[0]
 
 
 def compared(calibration: Calibration, recording: Recording) -> Compared:
     """What a calibration leaves of the visits of a recording, and how its own replicas come about."""
-    context = laid_over(calibration, recording)
+    own = recording.sha256 == calibration.provenance.get("recording_sha256")
+    which = recording.measured
+    if not own and (known := which & inside(recording, calibration)).any():
+        which = known
+    context, there = visits_of(laid_over(calibration, recording), which), predicted(calibration, recording)[which]
+    recording = recording.subset(which)
     count, seen = len(recording), recording.seen
     rows = np.repeat(seen, 3, axis=1)
     context = replace(context, jacobian=context.jacobian * rows[:, :, None, None])
     root = calibration.noise.whitener(context.levers(), seen)
-    gap = to_base(recording.points, calibration.measuring_in_base) - predicted(calibration, recording)
+    gap = to_base(recording.points, calibration.measuring_in_base) - there
     left = (root @ np.where(rows, gap.reshape(count, -1), 0.0)[..., None])[..., 0]
     design, active = _design(calibration, recording, root)
-    if recording.sha256 == calibration.provenance.get("recording_sha256"):
+    if own:
         prior, values = _prior(calibration)[active], calibration.theta[active]
         if calibration.effects:
             free = [(c, v) for e in calibration.effects for c, v in zip(e.columns, e.values, strict=True)

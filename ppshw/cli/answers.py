@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from ppshw.errors import BadInput, IdentificationFailed, RecordingError
+from ppshw.quantities import many
 from ppshw.recording_file import is_sqlite
 from ppshw.whole_file import written_whole
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
 TWINNED_PER_S = 250.0
+SAID = 3  # joints and loads outside what was identified
 
 
 def say(arguments: argparse.Namespace, answer: dict[str, Any], text: str) -> None:
@@ -47,12 +49,19 @@ def doubts_about(machine: Any, recording: Any, calibration: Any = None, refit_ba
     """
     from ppshw.diagnosis.columns import doubts_of_gravity, doubts_of_moments
     from ppshw.evaluation import by_visit, residuals
-    from ppshw.identification.plausible import LOADED_NM, doubts
+    from ppshw.identification.plausible import LOADED_N, LOADED_NM, doubts
 
-    of_moments = []
-    if calibration is not None and np.abs(calibration.payload_range[3:]).max() > LOADED_NM:  # else they had no sign
-        of_moments = doubts_of_moments(recording, lambda r: by_visit(residuals(r, calibration, refit_base)))
-    return doubts(machine, recording) + doubts_of_gravity(machine, recording) + of_moments
+    more = []
+    if calibration is not None:
+        heaviest = np.abs(calibration.payload_range).reshape(2, 6).max(axis=1)  # force, moment
+        if heaviest[1] > LOADED_NM:  # else moments had no sign
+            more = doubts_of_moments(recording, lambda r: by_visit(residuals(r, calibration, refit_base)))
+        if not recording.has_wrench and (heaviest > [LOADED_N, LOADED_NM]).any():
+            more.append(
+                f"no columns Fx … Mz, though the calibration knows loads of up to {heaviest[0]:.0f} N and "
+                f"{heaviest[1]:.0f} N m: taken as no load, which is right of an empty machine alone"
+            )
+    return doubts(machine, recording) + doubts_of_gravity(machine, recording) + more
 
 
 def as_they_stand(mistakes: Sequence[Any]) -> list[str]:
@@ -74,6 +83,17 @@ def columns_named(machine: Any, recording: Any) -> Iterator[None]:
 
 
 FIGURE_HEAD = f"{'':16}{'median':>10}{'rms':>10}{'95 %':>10}{'98.6 %':>10}{'max':>10}"
+
+
+def outside_in_words(found: Sequence[dict[str, Any]]) -> str:
+    """Of `evaluation.outside`, at least one, which joints and loads and how far; --json has all."""
+    said = [
+        f"{o['of']} at {many(o['visits'], 'visit')} ({o['farthest']:.4g} {o['unit']}, "
+        f"identified {o['low']:.4g} … {o['high']:.4g})"
+        for o in found[:SAID]
+    ]
+    more = f" and {len(found) - SAID} more" if len(found) > SAID else ""
+    return f"outside what was identified: {', '.join(said)}{more}"
 
 
 def figure_row(name: str, values: dict[str, Any]) -> str:

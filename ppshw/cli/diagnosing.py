@@ -19,6 +19,7 @@ from ppshw.cli.answers import (
     figure_row,
     new_file,
     new_files,
+    outside_in_words,
     put,
     say,
     warn,
@@ -157,7 +158,7 @@ def twin(a: argparse.Namespace) -> None:
     """twin: the visits of a recording, simulated by a calibration; and whether the recording is like that."""
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.checks import sentence
-    from ppshw.evaluation import figures, residuals
+    from ppshw.evaluation import figures, outside, residuals
     from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import check_machine, parse_table, read_table
     from ppshw.twin import compare, simulate, twin_table
@@ -179,9 +180,12 @@ def twin(a: argparse.Namespace) -> None:
     with written_whole(out) as partial:
         partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
     twin = figures(residuals(parse_table(made, machine), calibration))
+    beyond = outside(recording, calibration)
     answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
-              "recording": recorded, "twin": twin, "checks": checks,
+              "recording": recorded, "twin": twin, "checks": checks, "outside": beyond,
               "warnings": warnings}  # fmt: skip
     lines = [f"{a.out}: {many(len(recording), 'visit')}; residuals of the calibration [mm]", FIGURE_HEAD]
     lines += [figure_row(name, answer[name]) for name in ("recording", "twin")]
+    if beyond:
+        lines.append(f"{outside_in_words(beyond)}; of another recording such visits are in no check")
     say(a, answer, folded([*lines, f"the recording is {sentence(checks)}"]))

@@ -20,6 +20,7 @@ from ppshw.cli.answers import (
     doubts_about,
     figure_row,
     new_file,
+    outside_in_words,
     say,
     warn,
 )
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 FEW = 40  # visits
 MANY_ASIDE = 0.1  # share of the visits: single ones are not so many
-SAID = 3  # joints and loads outside what was identified; --json has all
 NO_BETTER = 1.05  # times what the ideal machine leaves; a fit that leaves more has failed
 
 
@@ -207,10 +207,7 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
     if answer.get("earlier_visits"):
         lines.append(f"goes on from {many(answer['earlier_visits'], 'visit')} that the calibration was made from")
     if outside := answer.get("outside"):
-        said = [f"{o['of']} at {many(o['visits'], 'visit')} ({o['farthest']:.4g} {o['unit']}, "
-                f"identified {o['low']:.4g} … {o['high']:.4g})" for o in outside]  # fmt: skip
-        more = f" and {len(said) - SAID} more" if len(said) > SAID else ""
-        lines.append(f"outside what was identified, carried on there: {', '.join(said[:SAID])}{more}")
+        lines.append(f"{outside_in_words(outside)}, carried on there")
     for b in answer.get("beyond", ()):
         lines.append(
             f"{many(b['visits'], 'visit')} with {b['temperature']} beyond the {b['low_C']:.1f} to "

@@ -209,6 +209,21 @@ def test_evaluate_says_which_visits_lie_outside_what_was_identified(desk: Path) 
     assert by_name["rail"]["farthest"] == max(rail.values())
     assert (by_name["Fz"]["unit"], by_name["rail"]["unit"]) == ("N", "m")
     assert f"Fz at {by_name['Fz']['visits']} visits" in " ".join(ppshw(*judged).out.split())
+    twin = ["twin", desk / "good.csv", *machine, "--calibration", desk / "few.json", "--out", desk / "twin.csv"]
+    assert answer(*twin)["outside"] == found
+    assert "such visits are in no check" in " ".join(ppshw(*twin).out.split())
+
+
+def test_a_recording_without_wrench_is_no_recording_of_no_load(desk: Path) -> None:
+    """2.1 mm were said of a calibration good to 0.2, without a word."""
+    rows = [line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines()]
+    keep = [k for k, name in enumerate(rows[0]) if name not in ("Fx", "Fy", "Fz", "Mx", "My", "Mz", "load")]
+    (desk / "silent.csv").write_text("\n".join(",".join(row[k] for k in keep) for row in rows) + "\n", encoding="utf-8")
+    judged = ["evaluate", desk / "silent.csv", "--machine", desk / "machine.yaml", "--calibration", desk / "cal.json"]
+    found = json.loads(ppshw(*judged, "--json").out)
+    assert not [o for o in found["outside"] if o["unit"] in ("N", "N m")]
+    (warning,) = found["warnings"]
+    assert re.match(r"no columns Fx … Mz, though the calibration knows loads of up to \d+ N and \d+ N m", warning)
 
 
 def test_without_a_calibration_evaluate_judges_the_ideal_machine(desk: Path) -> None:
