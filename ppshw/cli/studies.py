@@ -19,6 +19,8 @@ def prove(a: argparse.Namespace) -> None:
     with Bar() as bar:
         answer = run_prove(Path(a.out), cases, workers=a.workers, scheduler=a.scheduler, say=bar)
     say(a, answer, f"{sentences(answer)}\npage {Path(a.out) / 'prove.html'}")
+    if answer["broken"]:
+        raise PpshwError(f"{a.out}: broken seals: {', '.join(answer['broken'])}: no truth to score by")
     if len(answer["lost"]) == answer["cases"]:
         raise PpshwError(f"{a.out}: every case was lost, the first: {next(iter(answer['lost'].values()))}")
 

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -130,28 +131,34 @@ def run_prove(
     diagnoser  `ppshw diagnose` by default; must be importable by name, since it runs in another process
     workers    processes at a time; 0: all in this one, for tests and debuggers
     scheduler  of a dask cluster instead, whose workers see `out` under the same path
+    Raises BadInput, before anything is written, for two cases of one seed, another address than a scheduler's, and
+    scores or seals in `out` that are damaged.
     """
-    out = out.resolve()  # a worker's folder is another
-    for folder in ("cases", "answers", "sealed", "scores"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
+    out, cluster = out.resolve(), Cluster(workers, scheduler)  # a worker's folder is another
     if len({spec.name for spec in cases}) < len(cases):
         raise BadInput(f"{out}: two cases of one seed, expected each once")
+    for spec in cases:
+        if (there := out / "scores" / f"{spec.name}.json").exists():
+            _score(there)
+    _published(out)
+    for folder in ("cases", "answers", "sealed", "scores"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
     task = partial(_case, diagnoser=diagnoser or ppshw_diagnose)
     jobs = [Job(spec.name, {"out": str(out), "spec": asdict(spec)}) for spec in cases]
-    lost = run_jobs(
-        task, jobs, cluster=Cluster(workers, scheduler), say=lambda done, total: say("prove", done, total)
-    ).lost
-    seals = _published(out)
-    for spec in cases:
-        if spec.name not in lost:  # also of a case whose score lay there: a truth may be touched later
-            try:
-                open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
-            except (SealBroken, OSError) as exc:
-                lost[spec.name] = str(exc)
-    scores = [json.loads((out / "scores" / f"{s.name}.json").read_text()) for s in cases if s.name not in lost]
+    lost = run_jobs(task, jobs, cluster=cluster, say=lambda done, total: say("prove", done, total)).lost
+    seals, broken = _published(out), []
+    for spec in cases:  # also of a case whose score lay there: a truth may be touched later
+        if spec.name in lost and spec.name not in seals:
+            continue
+        try:
+            open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
+        except SealBroken as exc:
+            lost[spec.name] = str(exc)
+            broken.append(spec.name)
+    scores = [_score(out / "scores" / f"{s.name}.json") for s in cases if s.name not in lost]
     # an earlier program, whose scores are taken up, may have judged by other rules
     scores = [{**s, **judge(s["truth"], s["answer"])} for s in scores]
-    document = {"cases": len(cases), "lost": lost, **summarise(scores)}
+    document = {"cases": len(cases), "lost": lost, "broken": broken, **summarise(scores)}
     from ppshw.prove.page import write_page  # pictures: no worker draws one
 
     write_text(out / "prove.json", json.dumps(document, indent=1))
@@ -168,7 +175,7 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     """Generate, publish the seal, diagnose, open, score: the whole life of one case. Returns its score's file."""
     score = out / "scores" / f"{spec.name}.json"
     if score.exists():
-        if json.loads(score.read_text())["spec"] != asdict(spec):
+        if _score(score)["spec"] != asdict(spec):
             raise BadInput(f"{score}: the score of another case, expected {asdict(spec)}")
         return score
     case, answers, sealed = (out / part / spec.name for part in ("cases", "answers", "sealed"))
@@ -188,11 +195,24 @@ def run_case(out: Path, spec: Spec, diagnoser: Diagnoser) -> Path:
     return score
 
 
+def _score(file: Path) -> Json:
+    """What lies in a score's file. Raises BadInput where it is none."""
+    with suppress(ValueError):
+        found = json.loads(file.read_text(encoding="utf-8"))
+        if isinstance(found, dict) and {"spec", "truth", "answer"} <= found.keys():
+            return found
+    raise BadInput(f"{file}: damaged, expected the score of a case; without the file the case is run again")
+
+
 def _published(out: Path) -> dict[str, str]:
-    """Case → the hash that was published last of its truth."""
+    """Case → the hash that was published last of its truth. Raises BadInput for another line than `run_case` writes."""
     file = out / SEALS
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    return {name: seal for name, seal, *_ in map(str.split, lines)}
+    found: dict[str, str] = {}
+    for k, line in enumerate(file.read_text(encoding="utf-8").splitlines() if file.exists() else [], start=1):
+        if len(words := line.split()) != 3:
+            raise BadInput(f"{file}:{k}: '{line}', expected a case, the hash of its truth and when it was published")
+        found[words[0]] = words[1]
+    return found
 
 
 def ppshw_diagnose(case: Path, answers: Path, without: str = "") -> Json:

@@ -56,8 +56,11 @@ class SealBroken(PpshwError):
 
 
 def open_seal(published: str, sealed: Path) -> Json:
-    """The truth, if it still is the one whose hash was published. Raises SealBroken when it is not."""
-    text = (sealed / "truth.json").read_bytes()
+    """The truth, if it still is the one whose hash was published. Raises SealBroken when it is not, or is gone."""
+    try:
+        text = (sealed / "truth.json").read_bytes()
+    except OSError as exc:
+        raise SealBroken(f"{sealed / 'truth.json'}: {exc.strerror or exc}") from None
     found = hashlib.sha256(text).hexdigest()
     if found != published:
         raise SealBroken(f"{sealed / 'truth.json'}: hash {found[:12]}, but {published[:12]} was published")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,6 +34,7 @@ Say = Callable[[int, int], None]
 ALLOWED_FAILURES = 1
 # Batches that lie ready at the scheduler per thread, so that none waits for this process.
 AHEAD = 3
+ADDRESS = re.compile(r"[a-z]+://\S+:\d{1,5}")
 NO_WORKERS_S = 300.0
 CONNECT_S = 20.0
 LOOK_AROUND_S = 2.0
@@ -65,11 +67,16 @@ class Cluster:
     scheduler  address of a running scheduler (tcp://host:8786) instead; its workers need the same ppshw, and for jobs
                that write files the same folders
     batch      jobs in one message to a worker: for jobs that take less than some 50 ms
+    Raises BadInput for what is no such address.
     """
 
     workers: int = 2
     scheduler: str | None = None
     batch: int = 1
+
+    def __post_init__(self) -> None:
+        if self.scheduler is not None and not ADDRESS.fullmatch(self.scheduler):
+            raise BadInput(f"{self.scheduler}: no scheduler's address, expected one like tcp://host:8786")
 
 
 def run_jobs(

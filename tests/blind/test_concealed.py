@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ppshw.cli import main
+from ppshw.errors import BadInput
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
@@ -469,11 +471,55 @@ def cheats(case: Path, answers: Path) -> dict[str, Any]:
 def test_a_diagnosis_that_writes_its_own_truth_is_lost_and_so_is_a_truth_that_is_touched_later(tmp_path: Path) -> None:
     (case,) = cases = [Spec(2, "pps", "backlash", 1.0, 80, 60)]
     broken = r"truth.json: hash \w{12}, but \w{12} was published"
-    assert re.search(broken, run_prove(tmp_path / "a", cases, cheats, workers=0)["lost"][case.name])
+    cheated = run_prove(tmp_path / "a", cases, cheats, workers=0)
+    assert re.search(broken, cheated["lost"][case.name])
+    assert cheated["broken"] == [case.name]
     assert run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"] == {}
     truth = tmp_path / "b/sealed" / case.name / "truth.json"
     truth.write_text(truth.read_text().replace("backlash", "drift"))
     assert re.search(broken, run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"][case.name])
+    truth.unlink()
+    gone = run_prove(tmp_path / "b", cases, says_nothing, workers=0)
+    assert gone["lost"][case.name].endswith("truth.json: No such file or directory")
+    assert gone["broken"] == [case.name]
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("scores/2.json", "{}", r"scores/2\.json: damaged, expected the score of a case"),
+        ("scores/2.json", '{"spec": ', r"scores/2\.json: damaged, expected the score of a case"),
+        ("seals.txt", "2 abc\n", r"seals\.txt:1: '2 abc', expected a case, the hash"),
+    ],
+)
+def test_scores_and_seals_that_are_damaged_are_refused_before_anything_is_written(
+    tmp_path: Path, file: str, text: str, said: str
+) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text(text)
+    with pytest.raises(BadInput, match=said):
+        run_prove(tmp_path, [Spec(2, "pps", "backlash", 1.0, 80, 60)], says_nothing, workers=0)
+    assert not (tmp_path / "cases").exists()
+
+
+def test_a_deck_of_two_cases_of_one_seed_and_a_scheduler_without_a_port_leave_no_folder(tmp_path: Path) -> None:
+    cases = [Spec(2, "pps", "backlash", 1.0), Spec(2, "pps", "drift", 1.0)]
+    with pytest.raises(BadInput, match="two cases of one seed"):
+        run_prove(tmp_path / "a", cases, says_nothing, workers=0)
+    with pytest.raises(BadInput, match="foo: no scheduler's address, expected one like tcp://host:8786"):
+        run_prove(tmp_path / "a", cases[:1], says_nothing, scheduler="foo")
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_broken_seal_is_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def touched(*given: object, **more: object) -> dict[str, Any]:
+        return {"cases": 2, "lost": {"7": "x"}, "broken": ["7"], "bars": []}
+
+    monkeypatch.setattr("ppshw.prove.run_prove", touched)
+    assert main(["prove", "--cases", "2", "--out", str(tmp_path / "p")]) == 1
+    assert "broken seals: 7" in capsys.readouterr().err
 
 
 def test_a_name_with_the_wrong_joint_is_no_right_joint_and_a_wrong_name_is_wrong() -> None:
