@@ -16,6 +16,7 @@ from ppshw.diagnosis.found import Found, by_its_own_form, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
+from ppshw.diagnosis.library.weighing import by_readings
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameter_names import rocks, shape_unit
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, scale_holds_at
@@ -54,6 +55,9 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
     if found.pulled is not None:
         covariance = covariance + found.pulled @ found.pulled.T
     candidate = _by_its_thermometer(candidate, values)
+    told = values, covariance
+    if candidate.effect == "wrench_error" and (read := by_readings(space.context, candidate)) is not None:
+        told = read.values, read.covariance
     weights = found.weights or {found.name: 1.0}
     alternatives = [
         {"effect": effect, "joint": joint, "weight": round(weight, 4)}
@@ -70,7 +74,7 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         "component": candidate.component,
         "covariate": candidate.covariate,
         "region": _region(space, _where_it_acts(candidate)),
-        "parameters": numbers_of(space.context, candidate, values, covariance, found.spread),
+        "parameters": numbers_of(space.context, candidate, *told, found.spread),
         "p_value": found.p,
         "rms_mm": rms * 1e3,
         "beyond_base_mm": beyond * 1e3,

@@ -109,8 +109,8 @@ def read_folder(folder: Path) -> Contents:
             sources.append(_recording_source(path, recordings[stem]))
     result, result_name, answered = _result(folder, sources)
     diagnosis = _diagnosis(folder, sources)
-    if calibration is None and not recordings and not result:
-        names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), RESULT])
+    if calibration is None and not recordings and not result and not diagnosis:
+        names = ", ".join([CALIBRATION, *(f"{stem}.db" for stem in RECORDINGS), RESULT, DIAGNOSIS])
         raise ReportError(f"{folder}: nothing to report on beside {MACHINE}, expected any of {names}")
     point = _point(machine, recordings)
     return Contents(

@@ -155,7 +155,9 @@ def _doubts(contents: Contents) -> list[str]:
     if isinstance(diagnosed, dict):
         if diagnosed.get("machine_sha256") != contents.machine.sha256:
             out.append("The diagnosis is of another machine file than the one in this folder.")
-        elif diagnosed.get("recording_sha256") not in {r.sha256 for r in contents.recordings.values()}:
+        elif (there := {r.sha256 for r in contents.recordings.values()}) and (
+            diagnosed.get("recording_sha256") not in there
+        ):
             out.append("The diagnosis is of another recording than those in this folder.")
     if contents.machine.tracker.base is None and any(stem in contents.recordings for stem in CASES):
         out.append(

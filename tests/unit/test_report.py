@@ -632,6 +632,17 @@ def test_a_folder_with_nothing_to_report_on_says_what_was_expected(tmp_path: Pat
     assert not (tmp_path / "report.html").exists()
 
 
+def test_a_diagnosis_alone_is_something_to_report_on(tmp_path: Path) -> None:
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    slide(folder)
+    answer = {"verdict": "consistent", "findings": [], "unexplained": None, "visits": 60, "noise_floor_mm": 0.1,
+              "held_out": {"rms_before_mm": 0.12, "rms_after_mm": 0.12}}  # fmt: skip
+    (folder / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
+    build_report(folder, NOW)
+    assert "Verdict: consistent" in page(folder).words
+
+
 @pytest.mark.parametrize(("value", "std", "unit", "shown"), [
     (2.496e-4, 4.5e-6, "m", "0.2496 ± 0.0045 mm"), (-3.21e-5, 1.2e-6, "m", "−32.1 ± 1.2 µm"),
     (1.5e-3, 2e-4, "rad", "1.50 ± 0.20 mrad"), (8.1e-6, 4e-7, "m/K", "8.10 ± 0.40 µm/K"), (0.0, None, "m", "0 mm"),

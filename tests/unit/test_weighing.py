@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ppshw.diagnosis.library.by_instrument import sensor_errors
-from ppshw.diagnosis.library.weighing import Weighing, reads_other, ruled_out, weigh
+from ppshw.diagnosis.library.weighing import Weighing, by_readings, reads_other, ruled_out, weigh
 from ppshw.diagnosis.sensor_words import against_gravity, doubt
 from ppshw.recording import Recording
 from ppshw.terms.shapes import Context
@@ -85,6 +85,18 @@ def test_its_readings_alone_say_which_error_it_is(
     assert [column.args for column in first.form.columns] == [args]
     if value is not None:
         assert first.values[0] == pytest.approx(value, rel=0.01, abs=0.003)  # the base stands a few mrad askew
+
+
+def test_a_form_is_told_by_the_readings_where_it_is_all_that_they_show(clean: Context) -> None:
+    """14.1 ± 1.1 N m were said of 12 by deflections, where the readings know 12.0 ± 0.1 (a reviewer's)."""
+    of_fz, of_mx = (next(k for k in sensor_errors(clean) if [x.args for x in k.columns] == [{"component": n}])
+                    for n in (2, 3))  # fmt: skip
+    c = reading(clean, zero(clean.recording))
+    told = by_readings(c, of_fz)
+    assert told is not None
+    assert told.values[0] == pytest.approx(40.0, rel=0.01)
+    assert by_readings(c, of_mx) is None
+    assert by_readings(clean, of_fz) is None
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])

@@ -117,6 +117,13 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
     return Weighing(wrong, by, _fitted(c, chosen, noise), left_by_first < ALL_OF_IT) if chosen else None
 
 
+def by_readings(c: Context, form: Candidate) -> Misreading | None:
+    """A form of the sensor's error as its readings have it, where it is all that they show beside rigid payloads;
+    deflections tell less of it, and what compliances the base model has."""
+    found = weigh(c, [form])
+    return found.forms[0] if found is not None and found.one_form else None
+
+
 def _fewest(more: Array, at: Sequence[Sequence[int]]) -> int:
     """Which form says most, or nearly as much with fewest numbers."""
     enough = np.flatnonzero(more >= more.max() - NEARLY * abs(float(more.max())))
