@@ -153,9 +153,11 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
             return out
         along = [(each.function, each.args, each.frame) for each in k.columns]  # what bends shifts what it carries, too
         return out + [Column("frame", *of, comp) for of in along for comp in range(6)]
+    by_weight = first.args.get("component", 0) < 0  # which no move changes
+    forms = ("exponential", "log", "last", "first", *(() if by_weight else ("wrench", "total", "began")))
     return [
         Column(first.on, first.function, {**first.args, "tau": tau, "form": form}, first.frame, first.component)
-        for tau in CREEP_H for form in ("exponential", "log", "last", "first", "wrench", "total", "began")
+        for tau in CREEP_H for form in forms
     ]  # fmt: skip
 
 

@@ -176,9 +176,12 @@ def _creep(candidate: Candidate) -> list[Told]:
             Told(f"compliance_{way}" + f"_by_{load}" * several, per_load(unit_of(way), load), -1.0)
             for way, load in ways
         ]
-    load = WRENCH_COMPONENTS[candidate.columns[0].component]
+    by_weight = candidate.columns[0].args.get("component", 0) < 0
+    load = WRENCH_COMPONENTS[0 if by_weight else candidate.columns[0].component]  # a force
     name, unit, factor = "share", "1", 1.0
-    if function != "creep":
+    if by_weight:
+        name, unit, factor = "compliance_by_weight", per_load(unit_of(candidate.component), load), -1.0
+    elif function != "creep":
         name, unit, factor = "compliance", per_load(unit_of(candidate.component), load), -1.0
     second = f"slow_{name}" if "slow_tau_h" in candidate.shape else f"{name}_at_first"
     return [Told(n, unit, factor) for n in (name, second)[: len(candidate.columns)]]

@@ -65,6 +65,10 @@ class Canvas:
     def picture(self, title: str, alt: str, note: str = "") -> Picture:
         """What was drawn, as an SVG for the page; title and note stand beside it, alt says in words what it shows."""
         out = io.BytesIO()
+        if (layout := self.figure.get_layout_engine()) is not None:  # else savefig draws all of it twice
+            layout.execute(self.figure)
+            with mpl.rc_context({"figure.constrained_layout.use": False}):
+                self.figure.set_layout_engine(None)
         self.figure.savefig(out, format="svg", dpi=RASTER_DPI, metadata={"Date": None, "Creator": None})
         return Picture(title, alt, note, "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode())
 

@@ -19,6 +19,7 @@ ANY_WAY = ("exponential", "log", "total")  # ways to creep in all directions und
 NOBODY_SAYS = {""}  # which load it is
 FOLLOWS = ("wrench", "total")  # what acts, whatever it is called
 ALONG = ("exponential", "log", "wrench", "total")
+BY_WEIGHT = ("exponential", "log")  # of what hangs there, whatever its moment in the pose: under what bears it alike
 
 
 def creeping(c: Context) -> Iterator[Candidate]:
@@ -56,6 +57,13 @@ def creeping(c: Context) -> Iterator[Candidate]:
                     where |= {"tau": taus[0]}
                     any_way = tuple(Column("frame", "creeping", where, frame, comp) for comp in range(6))
                     yield Candidate("creep", name, name, None, "since_load_change", any_way, shape, 0.2 * half)
+            if len(taus) == 1 and form in BY_WEIGHT:
+                of = {"frame": frame, "component": -1, "form": form, "tau": taus[0]}
+                for comp in range(6):
+                    heavy = (Column("frame", "creeping", of, frame, comp),)
+                    yield Candidate(
+                        "creep", name, name, COMPONENTS[comp], "since_load_change", heavy, shape, 0.1 * half
+                    )
             if len(taus) == 1 and form in ALONG and len(acting) > 1:  # along all its loads, each by a share of its own
                 of = {"frame": frame, "form": form, "tau": taus[0]}
                 along = tuple(Column("frame", "creeping", {**of, "component": b}, frame, b) for b in acting)

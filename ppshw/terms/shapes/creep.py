@@ -15,7 +15,10 @@ OLDEST_LOAD_H = "oldest load"  # in a calibration's reference [h]
 
 
 def creeping(c: Context, frame: int, component: int, tau: float, form: str) -> Array:
-    """A component of the wrench on a frame that has not come yet; forms: see `_late`."""
+    """A component of the wrench on a frame that has not come yet; forms: see `_late`. Component −1: of the weight of
+    what hangs there [N], whatever its lever is in the pose; forms: see `load_memory`."""
+    if component < 0:
+        return np.asarray(_held(c, tau, form)[:, 0] * np.linalg.norm(gravity_at_sensor(c), axis=1))
     return np.asarray(_late(c, tau, form)[:, frame, component])
 
 
@@ -50,12 +53,21 @@ def _late(c: Context, tau: float, form: str) -> Array:
     def late() -> Array:
         if form == "began":
             return np.asarray(c.wrenches[:1] * np.exp(-np.maximum(c.hours, 0.0) / tau)[:, None, None])
-        seen = _as_seen(c)  # for how long loads lay there a calibration keeps, whichever form it has
+        _as_seen(c)  # for how long loads lay there a calibration keeps, whichever form it has
         if form in ("wrench", "total"):
             whole = payload_wrenches(c) if form == "wrench" else c.wrenches
             return np.asarray(whole - followed(whole, c.hours, loads_came(c), tau))
-        g = gravity_at_sensor(c)
-        held = load_memory(payloads_of(c), c.recording.load, c.hours, loads_came(c), tau, form, seen)
+        g, held = gravity_at_sensor(c), _held(c, tau, form)
         return by_payload(c, np.concatenate([held[:, :1] * g, np.cross(held[:, 1:], g)], axis=1))
 
     return c.once(("late", tau, form), late)
+
+
+def _held(c: Context, tau: float, form: str) -> Array:
+    """(N, 4) of payloads, as of `payloads_of`, what is still to come of former changes of load."""
+
+    def held() -> Array:
+        seen = _as_seen(c)
+        return load_memory(payloads_of(c), c.recording.load, c.hours, loads_came(c), tau, form, seen)
+
+    return c.once(("held", tau, form), held)
