@@ -51,7 +51,7 @@ EFFECTS = (
     "missing_compliance", "target_moved",
 )  # fmt: skip
 COUNTED = (1, 4, 7)  # recordings that are looked at name by name; every fifth is of a six-revolute arm, 4 among them
-DRAWS, SHORT_DRAWS = 200, 40
+DRAWS, SHORT_DRAWS = 200, 20
 ANYBODY, SHORT_ANYBODY = 6, 1  # names per recording for which all other names are asked as well: that is slow
 WITHIN = 0.1
 MUCH = 2e-3
@@ -229,11 +229,11 @@ class Counted:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--short", action="store_true", help="one case of 60 visits")
+    parser.add_argument("--short", action="store_true", help="one case of 48 visits")
     parser.add_argument("--cases", type=int, default=len(EFFECTS), help="only the first so many cases")
     a = parser.parse_args()
     load, began = os.getloadavg(), time.process_time()
-    cases, visits, seed, by_name = (1, 60, SHORT_SEED, (0,)) if a.short else (a.cases, 450, SEED, COUNTED)
+    cases, visits, seed, by_name = (1, 48, SHORT_SEED, (0,)) if a.short else (a.cases, 450, SEED, COUNTED)
     rows, shares, strengths = [], [], []
     counted = Counted([], [], [], [], [], *((SHORT_DRAWS, SHORT_ANYBODY) if a.short else ()))
     for k in range(cases):

@@ -13,7 +13,7 @@ import pytest
 from ppshw.cli import main
 from simulators.concealed.case import make_case
 
-VISITS, FIT = 200, 150
+VISITS, FIT = 130, 90
 
 
 def _diagnosed(tmp_path: Path, effect: str) -> tuple[Path, dict[str, Any], dict[str, Any]]:

@@ -73,7 +73,7 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     assert [j.mass for j in machine.joints] == pytest.approx([HEAVY * j.mass for j in ARM.joints])
     plant = PLANTS[request.param].from_file(folder / "light.yaml", seed=5)
     plant.chain = kinematics.read_chain(folder / "m.yaml")
-    csv = simulate_recording_csv(plant, folder / "r.csv", 260, np.random.default_rng(1), "mixed", interleave=True)
+    csv = simulate_recording_csv(plant, folder / "r.csv", 160, np.random.default_rng(1), "mixed", interleave=True)
     return machine, load_recording(csv, machine), request.param
 
 

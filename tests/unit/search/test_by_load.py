@@ -27,6 +27,7 @@ from ppshw.identification import judgement
 from ppshw.identification.noise_fit import Form, fit
 from ppshw.statics import link_wrenches
 from ppshw.terms.shapes import Column
+from ppshw.terms.shapes.covariates import loads_came
 from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
 
@@ -474,6 +475,25 @@ def test_a_sensor_that_reads_other_than_what_hangs_there_weighs_is_the_sensor(ta
     share = said["parameters"]["share_of_what_no_payload_weighs"]
     assert share["value"] == pytest.approx(1.0, abs=0.2)
     assert "reads other than what hangs there weighs" in said["sentence"]
+
+
+def test_a_link_that_creeps_by_the_weight_alone_is_creep_of_it(space: Workspace) -> None:
+    """Of an arm's wrist, whose moments change with the pose, it was structure over time, √λ 113 (another author's)."""
+    c, joint = space.context, space.machine.joint_names.index("pitch")
+    weight = np.linalg.norm(space.recording.wrench[:, :3], axis=1)
+    came, late = loads_came(c), np.zeros(len(weight))
+    for k in range(1, len(weight)):
+        before, after = max(came[k], c.hours[k - 1]) - c.hours[k - 1], c.hours[k] - max(came[k], c.hours[k - 1])
+        late[k] = (late[k - 1] * np.exp(-before / 0.4) + weight[k] - weight[k - 1]) * np.exp(-after / 0.4)
+    moved = of_size(space, -c.jacobian[:, :, joint + 1, 3] * late[:, None], 2)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["creep", "zero_shift", "drift", "wrench_error"], "pitch")
+    assert [f.name for f in found] == [("creep", "pitch")]
+    assert best_of(tried, found[0]).columns[0].args["component"] == -1
+    said = finding(there, tried, found[0])["parameters"]
+    assert said["compliance_by_weight"]["unit"] == "rad/N"
+    size = float(np.linalg.norm(moved) / np.linalg.norm(c.jacobian[:, :, joint + 1, 3] * late[:, None]))
+    assert said["compliance_by_weight"]["value"] == pytest.approx(size, rel=0.2)
 
 
 def test_what_no_payload_weighs_has_no_other_s_name(tared_anew: Workspace) -> None:
