@@ -326,10 +326,11 @@ def test_a_wave_as_steep_as_the_joint_s_own_way_is_taken_out(slope: float) -> No
         assert np.linalg.norm(predicted) < 5e-5
 
 
-def test_creep_is_taken_out_where_the_age_of_the_load_is_known() -> None:
+@pytest.mark.parametrize(("of", "compliance"), [(3, -2e-8), (-1, -1e-8)])  # of a moment; of the weight
+def test_creep_is_taken_out_where_the_age_of_the_load_is_known(of: int, compliance: float) -> None:
     """Half of the sag of one link that comes late has come after ln 2 time constants."""
-    args = {"frame": VERTICAL + 1, "component": 3, "tau": 1.0, "form": "exponential"}
-    compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), -2e-8)
+    args = {"frame": VERTICAL + 1, "component": of, "tau": 1.0, "form": "exponential"}
+    compensator = knowing("creep", "vertical", Column("frame", "creeping", args, VERTICAL + 1, 3), compliance)
     plain = asked(Compensator(base()[1])).corrected
     ages = (1.0, 3600 * np.log(2), None, 1800.0)
     fresh, half, nobody, half_an_hour = (asked(compensator, loaded_for=s) for s in ages)
