@@ -34,7 +34,7 @@ Say = Callable[[int, int], None]
 ALLOWED_FAILURES = 1
 # Batches that lie ready at the scheduler per thread, so that none waits for this process.
 AHEAD = 3
-ADDRESS = re.compile(r"[a-z]+://\S+:\d{1,5}")
+ADDRESS = re.compile(r"([a-z]+://)?[^\s/]+:\d{1,5}")
 NO_WORKERS_S = 300.0
 CONNECT_S = 20.0
 LOOK_AROUND_S = 2.0
