@@ -184,15 +184,15 @@ def _look(
     give_back()
     jumps = jumps_of_zeros(space)
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
-    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost) + nameless(
-        space.context, jumps
-    )
     # so many columns would fit anything that few visits say
-    every = [k for k in every if COLUMNS_PER_VISIT * int(space.fit.sum()) >= len(k.columns)]
-    candidates = as_weighed(space.context, every)
-    weighed = {id(k) for k in candidates}
+    most = COLUMNS_PER_VISIT * int(space.fit.sum())
+    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost)
+    every = [k for k in every if most >= len(k.columns)]
+    named = as_weighed(space.context, every)
+    kept = {id(k) for k in named}
+    candidates = named + [k for k in nameless(space.context, jumps) if most >= len(k.columns)]
     give_back()
-    tried = Tried(space, candidates, space.unit, without, [k for k in every if id(k) not in weighed])
+    tried = Tried(space, candidates, space.unit, without, [k for k in every if id(k) not in kept])
     tell(2)
     earlier = [(k.effect, k.joint) for k in before if k.effect != "nameless"]
     found = search(space, tried, np.random.default_rng(seed), earlier)

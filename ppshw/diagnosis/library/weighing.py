@@ -119,8 +119,9 @@ def weigh(c: Context, candidates: Sequence[Candidate]) -> Weighing | None:
 
 def by_readings(c: Context, form: Candidate) -> Misreading | None:
     """A form of the sensor's error as its readings have it, where it is all that they show beside rigid payloads;
-    deflections tell less of it, and what compliances the base model has."""
-    found = weigh(c, [form])
+    deflections tell less of it, and what compliances the base model has. Of one column: what several make together may
+    be another payload."""
+    found = weigh(c, [form]) if len(form.columns) == 1 else None
     return found.forms[0] if found is not None and found.one_form else None
 
 
