@@ -12,7 +12,7 @@ the next SYNC, and the answer to it is in the TPDO after that.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import canopen
 from canopen.emcy import EmcyError
@@ -234,17 +234,20 @@ class Cia402Axis:
 
     def _require_a_stop(self) -> None:
         """By the drive's own option codes (CiA 402-2): without a brake, an axis whose power is cut coasts."""
-        cut = "would only cut its power"
-        unfit = [(QUICK_STOP_OPTION, 0, f"a quick stop {cut}")]
+        cut, dead = "would only cut its power", "when this program dies it"
+        self._refuse_option(QUICK_STOP_OPTION, {0: f"a quick stop {cut}"})
         if self._bus.config.host_node_id is not None:
-            dead = "when this program dies it"
-            unfit += [(ABORT_OPTION, 0, f"{dead} would not stop"), (ABORT_OPTION, 2, f"{dead} {cut}")]
-            if self.sdo.read_if_present(ABORT_OPTION) == ABORT_BY_FAULT:
-                unfit.append((FAULT_OPTION, 0, f"{dead} {cut}"))
-        for entry, option, what in unfit:
-            if self.sdo.read_if_present(entry) == option:
-                key = f"axes.{self.name}.parameters {{0x{entry.index:04X}: …}}"
-                raise ConfigurationMismatch(self.name, f"{entry} is {option}: {what}; set it in {key}")
+            abort = self._refuse_option(ABORT_OPTION, {0: f"{dead} would not stop", 2: f"{dead} {cut}"})
+            if abort == ABORT_BY_FAULT:
+                self._refuse_option(FAULT_OPTION, {0: f"{dead} {cut}"})
+
+    def _refuse_option(self, entry: Entry, unfit: Mapping[int, str]) -> int | None:
+        """What an option code is, None where the drive has none; unfit: by value, what it would do then."""
+        option = self.sdo.read_if_present(entry)
+        if option is not None and option in unfit:
+            key = f"axes.{self.name}.parameters {{0x{entry.index:04X}: …}}"
+            raise ConfigurationMismatch(self.name, f"{entry} is {option}: {unfit[option]}; set it in {key}")
+        return option
 
     def end_watch(self) -> None:
         """The drive no longer faults (0x8130) when this program's heartbeat ends."""

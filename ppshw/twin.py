@@ -28,6 +28,7 @@ from ppshw.terms.effect import Effect
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CHUNK = 400  # visits laid out at once
+LEAST_WITHIN = 20  # visits within what was identified, for checks of them alone
 SILENT = 1e-8  # a parameter whose uncertainty moves no target by as much [m] is taken as sure
 
 
@@ -85,18 +86,26 @@ def compare(calibration: Calibration, recording: Recording, seed: int = 0) -> li
     """The checks of a recording against replicas of its twin, the calibration as it stands: nothing is fitted.
 
     Of the very recording that it was identified from, it already took what it could; of any other it may be wrong by
-    its own uncertainty. Both are in the replicas. Of another one those visits are compared that lie within what was
-    identified; where there are none, all.
+    its own uncertainty. Both are in the replicas. Of another one those visits count that `comparable` says.
     """
     return check(compared(calibration, recording), seed)[0]
 
 
+def comparable(calibration: Calibration, recording: Recording) -> Mask:
+    """(N,) which visits the checks are of: with a reading, and of another recording than the calibration's own within
+    what was identified, unless those are too few to say anything."""
+    measured = recording.measured
+    within = measured & inside(recording, calibration)
+    return measured if _is_its_own(calibration, recording) or within.sum() < LEAST_WITHIN else within
+
+
+def _is_its_own(calibration: Calibration, recording: Recording) -> bool:
+    return recording.sha256 == calibration.provenance.get("recording_sha256")
+
+
 def compared(calibration: Calibration, recording: Recording) -> Compared:
     """What a calibration leaves of the visits of a recording, and how its own replicas come about."""
-    own = recording.sha256 == calibration.provenance.get("recording_sha256")
-    which = recording.measured
-    if not own and (known := which & inside(recording, calibration)).any():
-        which = known
+    own, which = _is_its_own(calibration, recording), comparable(calibration, recording)
     context, there = visits_of(laid_over(calibration, recording), which), predicted(calibration, recording)[which]
     recording = recording.subset(which)
     count, seen = len(recording), recording.seen

@@ -161,7 +161,7 @@ def twin(a: argparse.Namespace) -> None:
     from ppshw.evaluation import figures, outside, residuals
     from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import check_machine, parse_table, read_table
-    from ppshw.twin import compare, simulate, twin_table
+    from ppshw.twin import comparable, compare, simulate, twin_table
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine)
@@ -180,12 +180,14 @@ def twin(a: argparse.Namespace) -> None:
     with written_whole(out) as partial:
         partial.write_text(made.csv_text(table.newline), encoding="utf-8", newline="")
     twin = figures(residuals(parse_table(made, machine), calibration))
-    beyond = outside(recording, calibration)
+    beyond, judged = outside(recording, calibration), int(comparable(calibration, recording).sum())
     answer = {"out": a.out, "visits": len(recording), "readings": int(recording.seen.sum()), "seed": a.seed,
-              "recording": recorded, "twin": twin, "checks": checks, "outside": beyond,
+              "recording": recorded, "twin": twin, "checks": checks, "compared": judged, "outside": beyond,
               "warnings": warnings}  # fmt: skip
     lines = [f"{a.out}: {many(len(recording), 'visit')}; residuals of the calibration [mm]", FIGURE_HEAD]
     lines += [figure_row(name, answer[name]) for name in ("recording", "twin")]
     if beyond:
-        lines.append(f"{outside_in_words(beyond)}; of another recording such visits are in no check")
+        left_out = int(recording.measured.sum()) - judged
+        how = "such visits are in no check" if left_out else "they are in the checks all the same"
+        lines.append(f"{outside_in_words(beyond)}; {how}")
     say(a, answer, folded([*lines, f"the recording is {sentence(checks)}"]))

@@ -132,19 +132,21 @@ def _corrected(
     if compensator.position_first or setpoints.at_odds:
         off, turned = setpoints.left[:3] * 1e3, setpoints.left[3:] * 1e3
         answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}
+        answer |= {"at_odds": list(setpoints.at_odds)} if setpoints.at_odds else {}
+        few = many(machine.n, "joint") if compensator.position_first else None
         left = f"{np.linalg.norm(off):.3f} mm and {np.linalg.norm(turned):.3f} mrad stay"
-        lines.append(f"{a.point}: {left}, {why_it_stays(setpoints.at_odds, many(machine.n, 'joint'))}")
+        lines.append(f"{a.point}: {left}, {why_it_stays(setpoints.at_odds, few)}")
     if a.wrench is NO_LOAD:
         lines.append("for no load: --wrench says what lies on the sensor")
     lines += [f"{v.heading()}: {v.sentence()}" for v in setpoints.effects]
     return answer, folded(lines)
 
 
-def why_it_stays(at_odds: Sequence[str], joints: str) -> str:
-    """In words, why setpoints leave something of a pose: joints at odds with themselves, or too few of them."""
-    if at_odds:
-        return f"as either side's setpoint of {', '.join(at_odds)} brings it there from the other side"
-    return f"which {joints} cannot put right"
+def why_it_stays(at_odds: Sequence[str], joints: str | None) -> str:
+    """In words, why setpoints leave something of a pose: joints at odds with themselves, too few of them (`joints`, how
+    many), or both."""
+    why = [f"as either side's setpoint of {', '.join(at_odds)} brings it there from the other side"] if at_odds else []
+    return ", and ".join([*why, *([f"which {joints} cannot put right"] if joints else [])])
 
 
 def compensate(a: argparse.Namespace) -> None:

@@ -50,8 +50,10 @@ def run(a: argparse.Namespace) -> None:
         if (correct.position_first or correct.at_odds) and result.measured:
             off, turned = (correct.left * 1e3).tolist()
             answer |= {"most_left_mm": off, "most_left_mrad": turned}
+            answer |= {"at_odds": correct.at_odds} if correct.at_odds else {}
+            few = "the joints" if correct.position_first else None
             left = f"at most {off:.3f} mm and {turned:.3f} mrad stay"
-            lines.append(f"{correct.point}: {left}, {why_it_stays(correct.at_odds, 'the joints')}")
+            lines.append(f"{correct.point}: {left}, {why_it_stays(correct.at_odds, few)}")
     say(a, answer, folded(lines))
 
 

@@ -81,7 +81,7 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         "weight": round(weights.get(found.name, 0.0), 4),
         "alternatives": alternatives,
         "aliases": [alias.as_dict() for alias in aliases],
-        "sentence": sentence(space.context, candidate, values, rms, beyond)
+        "sentence": sentence(space.context, candidate, told[0], rms, beyond)
         + _and_in(tried, candidate, pieces)
         + alias_words(found.name, aliases),
     }

@@ -153,7 +153,7 @@ def run_prove(
         try:
             open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
         except SealBroken as exc:
-            lost[spec.name] = str(exc)
+            lost[spec.name] = "; ".join([*filter(None, [lost.get(spec.name)]), str(exc)])
             broken.append(spec.name)
     scores = [_score(out / "scores" / f"{s.name}.json") for s in cases if s.name not in lost]
     # an earlier program, whose scores are taken up, may have judged by other rules

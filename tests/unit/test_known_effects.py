@@ -853,6 +853,7 @@ def test_the_command_says_what_stays_of_a_joint_that_runs_ahead(
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["setpoints"]["vertical"] == start[VERTICAL]
+    assert found["at_odds"] == ["vertical"]
     assert 0.1 < np.linalg.norm(found["left_mm"]) < 0.2  # half the gap: nobody says which side it stands on
 
 

@@ -165,7 +165,10 @@ def test_of_another_recording_visits_outside_what_was_identified_are_in_no_check
     other = replace(rig.recording, sha256="of another", q=q)
     assert len(compared(rig.calibration, other)) == VISITS - 5
     assert next(c for c in compare(rig.calibration, other) if c.name == "rms").observed < 1.5
-    nowhere = replace(other, q=np.where(np.arange(q.shape[1]) == LATERAL, high + 1.0, q))
+    beyond = np.where(np.arange(q.shape[1]) == LATERAL, high + 1.0, q)
+    two = replace(other, q=np.vstack([beyond[:-2], q[-2:]]))
+    assert len(compared(rig.calibration, two)) == VISITS  # two visits say nothing
+    nowhere = replace(other, q=beyond)
     assert len(compared(rig.calibration, nowhere)) == VISITS
 
 

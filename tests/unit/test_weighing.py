@@ -11,9 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ppshw import diagnosis
+from ppshw.diagnosis.jumps import jumps_of_zeros
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, by_readings, reads_other, ruled_out, weigh
+from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.sensor_words import against_gravity, doubt
+from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.recording import Recording
 from ppshw.terms.shapes import Context
 from tests.unit.clean_case import clean_case
@@ -23,12 +27,15 @@ Reads = Callable[[Recording], Array]
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Context:
+def space(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """An arm whose force sensor reads what hangs there."""
-    from ppshw.diagnosis.workspace import prepare
-
     machine, recording = clean_case(60534, "arm6", 200, 160, tmp_path_factory.mktemp("weighed"))
-    return prepare(machine, recording, np.ones(len(recording), dtype=bool)).context
+    return prepare(machine, recording, np.ones(len(recording), dtype=bool))
+
+
+@pytest.fixture(scope="module")
+def clean(space: Workspace) -> Context:
+    return space.context
 
 
 def reading(clean: Context, wrench: Array) -> Context:
@@ -85,6 +92,30 @@ def test_its_readings_alone_say_which_error_it_is(
     assert [column.args for column in first.form.columns] == [args]
     if value is not None:
         assert first.values[0] == pytest.approx(value, rel=0.01, abs=0.003)  # the base stands a few mrad askew
+
+
+def test_rivals_without_a_name_are_not_weighed_against_the_readings(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One was 70,000 times as likely then, and another's covariate a temperature that it does not go with."""
+    warm = np.linspace(0.0, 1.0, len(space.recording)) ** 2
+    read = space.recording.wrench + np.outer(warm, [30.0, 20.0, -25.0, 0.0, 0.0, 0.0])
+    there = replace(space, context=reading(space.context, read))
+    assert reads_other(there.context)
+    monkeypatch.setattr(diagnosis, "search", lambda *_: [])
+    tried, _ = diagnosis._look(there, frozenset(), 0, [], {}, lambda k: None)
+    rivals = [k for k in tried.candidates if k.effect == "nameless"]
+    most = diagnosis.COLUMNS_PER_VISIT * int(there.fit.sum())
+    alone = [k for k in nameless(there.context, jumps_of_zeros(there)) if most >= len(k.columns)]
+    assert [(k.share, k.covariate) for k in rivals] == [(k.share, k.covariate) for k in alone]
+    assert {k.effect for k in tried.ruled_out} <= {"wrench_error"}
+
+
+def test_several_numbers_are_not_told_by_readings_that_may_be_another_payload(clean: Context) -> None:
+    """A leak of 0.05 was two of 0.0250 ± 0.0004 (a reviewer's)."""
+    whole = max((k for k in sensor_errors(clean) if "source" in k.columns[0].args), key=lambda k: len(k.columns))
+    assert len(whole.columns) > 6
+    assert by_readings(reading(clean, leak(clean.recording)), whole) is None
 
 
 def test_a_form_is_told_by_the_readings_where_it_is_all_that_they_show(clean: Context) -> None:
