@@ -25,7 +25,7 @@ from drivers.ports import (
     not_stopped,
 )
 from ppshw import kinematics
-from ppshw.errors import HardwareError
+from ppshw.errors import BusTaken, HardwareError
 from ppshw.interruptions import INTERRUPTIONS
 from ppshw.machine import Machine
 from ppshw.transforms import inverse
@@ -44,6 +44,7 @@ class Bench:
     atmosphere  the air now; its temperature is recorded as `temp_air_C`
     notes       what goes into the recording's meta (the site file's text and hash)
     homed       the axes that were homed at the last start
+    places      of which temperatures are recorded since the last start, a force sensor's own one with them
     """
 
     axes: AxisGroup
@@ -55,6 +56,7 @@ class Bench:
     atmosphere: Callable[[], Atmosphere] = lambda: STANDARD_AIR
     notes: Mapping[str, str] = field(default_factory=dict)
     homed: tuple[str, ...] = field(default=(), init=False)
+    places: tuple[str, ...] = field(default=(), init=False)
     _started: bool = field(default=False, init=False)
     _places: tuple[str, ...] = field(default=(), init=False)  # of the thermometers, at the first look
     _until_closed: ExitStack = field(default_factory=ExitStack, init=False)
@@ -86,10 +88,17 @@ class Bench:
         return [*self.axes.check(), *(device.check() for device in self._instruments())]
 
     def look(self) -> list[DeviceInfo]:
-        """check() that goes through every device: a row each, with the problem of those that cannot be used."""
-        rows = self.axes.look()
+        """check() that goes through every device: a row each, with the problem of those that cannot be used. Where
+        another program has the axes, instruments are not asked anything: it would hear the answers."""
+        rows, taken = self.axes.look(), False
+        try:
+            self.axes.connect()
+        except HardwareError as error:  # as the rows say
+            taken = isinstance(error, BusTaken)
         for device in self._instruments():
             try:
+                if taken:
+                    raise HardwareError(device.name, "not asked: the program that has the axes may be measuring")
                 rows.append(device.check())
             except HardwareError as error:
                 rows.append(DeviceInfo(device.name, "", "", "", "", error.cause))
@@ -100,17 +109,26 @@ class Bench:
         return [self.tracker, *sensors, *self.thermometers]
 
     def start(self, reset_faults: bool = False) -> list[DeviceInfo]:
-        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker or thermometer.
+        """Make everything ready: instruments first, so that no axis is enabled beside a dead tracker or thermometer;
+        but where another program has the axes, they are its, too.
 
         reset_faults  acknowledge what the drives have reported; never done unasked
         """
+        self.axes.connect()
         self.tracker.start()
         if self.force_sensor is not None:
             self.force_sensor.start()
         found = self.check()
-        self.temperatures()
+        places, own = list(self.temperatures()), self._of_the_sensor()
+        if own and own[0] in places:
+            raise HardwareError("thermometers", f"a place is called '{own[0]}', as the sensor's own")
+        self.places = (*places, *own)
         self.start_axes(reset_faults)
         return found
+
+    def _of_the_sensor(self) -> list[str]:
+        has_one = self.force_sensor is not None and self.force_sensor.read().temperature_c is not None
+        return ["force_sensor"] if has_one else []
 
     def start_axes(self, reset_faults: bool = False) -> None:
         """The axes alone, for a move that measures nothing."""
@@ -184,8 +202,8 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def not_suspended() -> Iterator[None]:
-    """Ctrl-Z is refused with a word meanwhile: axes would travel on and nobody watch them. Windows has none."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGTSTP"):
+    """Ctrl-Z is refused with a word meanwhile: axes would travel on and nobody watch them."""
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = signal.signal(signal.SIGTSTP, _refuse)

@@ -10,17 +10,13 @@ import enum
 import re
 import select
 import sys
+import termios
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TextIO
 
 from campaigns.script import LoadCase
 from ppshw.errors import Stopped
-
-try:
-    import termios
-except ImportError:  # Windows
-    termios = None  # type: ignore[assignment]
 
 
 class Command(enum.Enum):
@@ -150,7 +146,7 @@ class ConsoleOperator:
                 return True
             if line.strip():
                 self.tell(f"'{line.strip()}' was typed before the question and is not taken.")
-        if termios is not None and self._lines.isatty():
+        if self._lines.isatty():
             termios.tcflush(self._lines.fileno(), termios.TCIFLUSH)  # half a line
         return False
 

@@ -25,6 +25,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.recording_file import RecordingFile
 
 Array = NDArray[np.float64]
+NOT_ON = "load not on"  # the event of a load that was said to be on, and does not weigh what it should
 LIBRARIES = ("ppshw", "numpy", "scipy", "python-can", "canopen", "geocompy", "pyserial")
 
 
@@ -139,4 +140,6 @@ def put_on_since(file: RecordingFile, load: str) -> tuple[float, Array | None] |
         elif kind == "load change" and time > last["time"] and data["name"] != lies:  # else a resumed run asked again
             asked, answered = (datetime.fromisoformat(t).timestamp() for t in (data["asked"], time))
             lies, since, before = data["name"], 0.5 * (asked + answered), read
+        elif kind == NOT_ON and time > last["time"]:
+            lies, since = "", None  # whatever lies there
     return (since, before) if since is not None and lies == load else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -138,7 +138,7 @@ class _Run:
             raise RecordingError(f"{self._out}: the folder {self._out.parent} does not exist")
         try:
             devices = self._bench.start(reset_faults)
-            places = self._places()
+            places = self._bench.places
             with self._open(existing, meta, places) as file:
                 note = run_notes.start_note(devices, self._bench)
                 if existing and note["site_sha256"] != file.meta().get("site_sha256", ""):
@@ -159,7 +159,7 @@ class _Run:
             raise
 
     # --- the recording -------------------------------------------------------------------------------------
-    def _open(self, existing: bool, meta: Mapping[str, str], places: list[str]) -> RecordingFile:
+    def _open(self, existing: bool, meta: Mapping[str, str], places: Sequence[str]) -> RecordingFile:
         if not existing:
             wanted = [f"wanted_{j}" for j in self._joints] if self._map else []
             columns = [*columns_for(self._plan.machine, places, self._plan.extra_targets, wanted), LOAD_AGE]
@@ -196,12 +196,6 @@ class _Run:
             f"{text[0].upper()}{text[1:]}. Unless a move was broken off or somebody moved them, their zero is lost: "
             "then abort before they move again."
         )
-
-    def _places(self) -> list[str]:
-        places = list(self._bench.temperatures())
-        if self._bench.force_sensor is not None and self._bench.force_sensor.read().temperature_c is not None:
-            places.append("force_sensor")
-        return places
 
     def _log(self, file: RecordingFile, kind: str, text: str, data: Mapping[str, Any] | None = None) -> None:
         file.log(self._now(), kind, text, data)
@@ -363,9 +357,9 @@ class _Run:
         text += "" if mass == load.mass else f", {load.mass:g} kg were asked for"
         self._log(file, "load change", text, note)
         self._load, self._mass = load.name, mass
-        self._weighed(load.name, mass, self._baseline(file, f"after the change to load {load.name}"))
+        self._weighed(file, load.name, mass, self._baseline(file, f"after the change to load {load.name}"))
 
-    def _weighed(self, load: str, mass: float, felt: Array | None) -> None:
+    def _weighed(self, file: RecordingFile, load: str, mass: float, felt: Array | None) -> None:
         """Raises RunFailed where the force sensor reads less than half of a load's weight: a load that is not on, or a
         sensor that says other units than newtons, costs a campaign. What else it bears nobody knows, so more may be
         right."""
@@ -375,6 +369,7 @@ class _Run:
         felt = self._bench.force_sensor.read().wrench if felt is None else felt
         read = float(np.linalg.norm(felt[:3]))
         if read < LEAST_OF_A_LOAD * weight:
+            self._log(file, run_notes.NOT_ON, f"{load}: {read:.3g} N of {weight:.0f} N", {"name": load})
             raise RunFailed(
                 f"load '{load}' of {mass:g} kg weighs {weight:.0f} N, but {self._bench.force_sensor.name} reads "
                 f"{read:.3g} N: is it on the machine, and does the sensor say newtons ('zero' and 'matrix' in the site "

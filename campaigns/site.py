@@ -63,6 +63,13 @@ BUS_TIMES = {
     "answer_timeout": (0.02, 5.0), "sdo_timeout": (0.02, 5.0),
 }  # fmt: skip
 LONGEST_SILENCE_S, BEATS = 10.0, 2.0  # heartbeat_timeout: at most so long, at least so many periods
+# What an instrument's settings may be, in their units: seconds that are milliseconds would wait for hours, micrometres
+# that are nanometres change every distance.
+LONGEST_ANSWER_S, LONGEST_HOMING_S, OLDEST_TEMPERATURE_S = 120.0, 3600.0, 3600.0
+TRACKER_RANGES = {
+    "wavelength_um": (0.35, 1.7), "reference_index": (1.0, 1.001), "search_rad": (1e-9, 0.2), "gate_m": (1e-9, 0.5),
+    "timeout_s": (1e-9, LONGEST_ANSWER_S),
+}  # fmt: skip
 WIDEST_WINDOW, WIDEST_FOLLOWING = 1e-3, 0.1  # m or rad; what is to be calibrated to tenths of a millimetre
 HOME_BEYOND = 0.1  # of the travel: so far beyond a limit a home switch may be
 PROCESS_DATA = (0x1400, 0x1600, 0x1800, 0x1A00)  # of the first RPDO and TPDO; the others are the site's
@@ -105,11 +112,12 @@ def load_site(path: Path | str, machine: Machine | None = None) -> Site:
     top = read_yaml(path, SiteError)
     named = top.text("machine")
     machine = machine or load_machine(path.parent / named)
-    clock = _clock(top)
-    bus = _bus(top, clock[0])
+    speed, epoch = _clock(top)
+    bus = _bus(top, speed)
     tracker_section = top.need("tracker")
     pose = _rough_pose(tracker_section, machine)
     air, temperature_from = _air(tracker_section)
+    thermometers = top.sections("thermometers", optional=True)
     site = Site(
         name=top.text("name"),
         machine=machine,
@@ -117,19 +125,19 @@ def load_site(path: Path | str, machine: Machine | None = None) -> Site:
         axes=_axes(top, machine, bus.host_node_id),
         make_tracker=_tracker(tracker_section),
         make_force_sensor=_force_sensor(top),
-        make_thermometers=tuple(_thermometer(s, path.parent) for s in top.sections("thermometers", optional=True)),
+        make_thermometers=tuple(_thermometer(s, path.parent, speed) for s in thermometers),
         air=air,
         air_temperature_from=temperature_from,
         tracker_in_base=pose,
         operator=_operator(top),
-        speed=clock[0],
-        epoch=clock[1],
+        speed=speed,
+        epoch=epoch,
         file=str(path),
         text=path.read_text(encoding="utf-8"),
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
     tracker_section.done()
-    _check_ports(top, clock[0])
+    _check_ports(top, speed)
     top.done()
     return site
 
@@ -317,7 +325,7 @@ def _homing(s: Section, joint: Joint) -> HomingConfig | None:
         offset=section.number("offset", 0.0, joint.limits.lower - beyond, joint.limits.upper + beyond),
         fast=fast,
         slow=slow,
-        timeout_s=section.number("timeout_s", default=120.0, low=0.1),
+        timeout_s=section.number("timeout_s", default=120.0, low=0.1, high=LONGEST_HOMING_S),
     )
     section.done()
     return config
@@ -369,9 +377,7 @@ def _tracker(s: Section) -> Callable[[Clock, Ports], Tracker]:
     if "serial_number" in s:
         options["serial_number"] = s.integer("serial_number")
     options |= {k: s.text(k) for k in ("prism",) if k in s}
-    highest = {"gate_m": 0.5}
-    numbers = ("wavelength_um", "reference_index", "search_rad", "gate_m", "timeout_s")
-    options |= {k: s.number(k, low=1e-9, high=highest.get(k, np.inf)) for k in numbers if k in s}
+    options |= {k: s.number(k, low=low, high=high) for k, (low, high) in TRACKER_RANGES.items() if k in s}
     options |= {k: s.flag(k) for k in ("checksum",) if k in s}
     return lambda clock, ports: _site_error(s, GeoComTracker, ports.get(port, port), clock, **options)
 
@@ -384,8 +390,9 @@ def _force_sensor(top: Section) -> Callable[[Clock, Ports], ForceSensor] | None:
     options: dict[str, Any] = {"baudrate": s.integer("baud", low=300)} if "baud" in s else {}
     options |= {k: s.integer(k, low=1) for k in ("samples", "sinc_length") if k in s and protocol == "bota"}
     options |= {k: s.integer(k, low=1) for k in ("samples",) if k in s and protocol == "gsv8"}
-    numbers = ("timeout_s",) if protocol == "bota" else ("timeout_s", "force_limit", "moment_limit", "rate")
+    numbers = () if protocol == "bota" else ("force_limit", "moment_limit", "rate")
     options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
+    options |= {k: s.number(k, low=1e-9, high=LONGEST_ANSWER_S) for k in ("timeout_s",) if k in s}
     options |= {"zero": s.vector("zero", 6).tolist()} if "zero" in s else {}
     if "matrix" in s:
         flat = s.vector("matrix", 36)
@@ -398,9 +405,10 @@ def _force_sensor(top: Section) -> Callable[[Clock, Ports], ForceSensor] | None:
     return lambda clock, ports: _site_error(s, driver, ports.get(port, port), clock, **options)
 
 
-def _thermometer(s: Section, folder: Path) -> Callable[[Clock], Thermometer]:
+def _thermometer(s: Section, folder: Path, speed: float) -> Callable[[Clock], Thermometer]:
     s.text("protocol", choices=("file",))
-    path, age = folder / s.text("path"), s.number("max_age_s", default=300.0, low=0.0)
+    oldest = OLDEST_TEMPERATURE_S * max(1.0, speed)
+    path, age = folder / s.text("path"), s.number("max_age_s", default=300.0, low=0.0, high=oldest)
     s.done()
     return lambda clock: FileThermometer(path, clock, max_age_s=age)
 

@@ -66,10 +66,10 @@ class Cia402Group:
         return self._axes.values()
 
     def axis(self, name: str) -> Cia402Axis:
-        self._connect()
+        self.connect()
         return self._axes[name]
 
-    def _connect(self) -> None:
+    def connect(self) -> None:
         self._bus.open()
         if not self._axes:
             self._axes = {
@@ -78,12 +78,12 @@ class Cia402Group:
             }
 
     def check(self) -> list[DeviceInfo]:
-        self._connect()
+        self.connect()
         return [axis.info() for axis in self._axes.values()]
 
     def look(self) -> list[DeviceInfo]:
         try:
-            self._connect()
+            self.connect()
         except HardwareError as error:
             unreached = f"{error.cause}; not reached: {', '.join(self.names)}"
             return [DeviceInfo(error.device, "", "", "", "", unreached)]
@@ -97,7 +97,7 @@ class Cia402Group:
         return rows
 
     def start(self) -> list[str]:
-        self._connect()
+        self.connect()
         for axis in self._axes.values():
             axis.check_identity()
             axis.refuse_in_motion()
@@ -147,12 +147,12 @@ class Cia402Group:
 
     def reset_faults(self) -> None:
         """Acknowledge the faults of all drives; enables none. start() goes on from there."""
-        self._connect()
+        self.connect()
         for axis in self._axes.values():
             axis.reset_fault()
 
     def positions(self) -> dict[str, float]:
-        self._connect()
+        self.connect()
         if self._started:
             self._exchange(expect_enabled=False)
         return {name: axis.here() for name, axis in self._axes.items()}

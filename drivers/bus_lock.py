@@ -3,8 +3,7 @@ would hear half of the answers; python-can lets both in.
 
 Whoever opens a bus holds a lock on a file in /tmp, whatever the user's own folder for temporary files is. Which bus it
 is, is told by python-can's own arguments: two names for one adapter are two buses, except for links to one device.
-`virtual` buses exist inside one process and are not locked; nor is any on Windows, where adapters are opened by one
-program only.
+`virtual` buses exist inside one process and are not locked.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ppshw.errors import BusLost
+from ppshw.errors import BusLost, BusTaken
 from ppshw.file_lock import locked
 
 # by which python-can's interfaces say which adapter they mean; bitrate and the like say how it is used
@@ -24,17 +23,17 @@ WHICH = ("channel", "host", "port", "serial", "unique_hardware_id", "device_id",
 
 
 class BusLock:
-    """Held from its making until release(). Raises BusLost when another program holds it."""
+    """Held from its making until release(). Raises BusTaken when another program holds it."""
 
     def __init__(self, name: str, can: Mapping[str, Any]) -> None:
         self._path = lock_file(can)
         self._handle: int | None = None
-        if os.name == "nt" or can.get("interface") == "virtual":
+        if can.get("interface") == "virtual":
             return
         try:
             self._handle = locked(self._path)
         except BlockingIOError:
-            raise BusLost(name, "another program has it; wait until that has ended") from None
+            raise BusTaken(name, "another program has it; wait until that has ended") from None
         except OSError as error:
             raise BusLost(name, f"cannot be locked: {error}") from error
 

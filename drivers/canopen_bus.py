@@ -124,6 +124,8 @@ class CanBus:
             raise BusLost(self.config.name, f"cannot be opened: {error}") from error
         except (TypeError, KeyError, AttributeError) as error:  # by which python-can refuses its arguments
             raise SiteError(f"{self.config.name}: 'can.bus' of the site file {_what_is_wrong(error)}") from error
+        except Exception as error:  # kvaser's without its maker's library: NameError
+            raise BusLost(self.config.name, f"cannot be opened: {type(error).__name__}: {error}") from error
         if (port := getattr(network.bus, "serialPortOrig", None)) is not None:  # slcan's
             port.flush = lambda: None  # it waits, for ever, until the adapter has taken all; a write has its time limit
         return network

@@ -105,6 +105,10 @@ class AxisGroup(Protocol):
     @property
     def unstopped(self) -> Sequence[str]: ...
 
+    def connect(self) -> None:
+        """Open the bus for this program alone; asks, enables and moves nothing. Raises BusTaken where another program
+        has it."""
+
     def check(self) -> list[DeviceInfo]:
         """Connect and say who and how each drive is; enables and moves nothing."""
 

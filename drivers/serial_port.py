@@ -1,6 +1,6 @@
 """Opening a serial line, and saying so when it is gone.
 
-A port is what pyserial opens: `/dev/ttyUSB0`, `COM4`, `socket://10.0.0.7:4001`; or an object that is such a port.
+A port is what pyserial opens: `/dev/ttyUSB0` or `socket://10.0.0.7:4001`; or an object that is such a port.
 """
 
 from __future__ import annotations
@@ -9,17 +9,13 @@ import contextlib
 import errno
 import time
 from collections.abc import Iterator
+from termios import error as TermiosError
 from typing import cast
 
 import serial
 from serial.serialutil import SerialBase, SerialTimeoutException
 
 from ppshw.errors import HardwareTimeout, LineLost
-
-try:
-    from termios import error as TermiosError
-except ImportError:  # Windows
-    TermiosError = OSError  # type: ignore[misc,assignment]
 
 Port = str | SerialBase
 LINE_ERRORS = (serial.SerialException, OSError, TermiosError)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 
 from drivers.canopen_bus import CanBus
 from drivers.cia402 import OBEY_S, Cia402Axis
@@ -95,16 +95,17 @@ class Stopping:
         """Until the ramps of a quick stop have ended: a motor without power coasts, or drops its brake at speed. For a
         bounded time, and not for an axis that says nothing, by process data or SDO. Whoever was not seen to obey is
         told at every look."""
-        until = self._clock.now() + RAMP_S
         before: dict[str, float] = {}
+        silent: set[int] = set()  # who sent no process data at the last look
         dumb: set[int] = set()  # who did not answer SDO either: each takes its time limit
         self._moving = []
         self._bus.answered(LOOK_S)  # a stop awaits no answers to its SYNCs: what is still on its way is no look
-        while self._clock.now() < until:
+        for late in self._looks():
             if self.unstopped:
                 self.at_once()
+            waived = silent if late else set[int]()  # waiting for them is what took the time
             try:
-                silent = self._bus.exchange([axis.node_id for axis in self._axes()])
+                silent = waived | self._bus.exchange([a.node_id for a in self._axes() if a.node_id not in waived])
             except Exception as error:
                 log.info("closing: %s", error)
                 with self._bus.arrival:  # unseen, the ramps are given their time
@@ -127,6 +128,14 @@ class Stopping:
             self._clock.sleep(LOOK_S)
         log.warning("closing: axes still moved, or were not seen, %g s after the quick stop", RAMP_S)
         self.unstopped += [name for name in self._moving if name not in self.unstopped]
+
+    def _looks(self) -> Iterator[bool]:
+        """For as long as a ramp may take, then two more, since only a second one tells who moves, and the first may
+        have taken all the time. Says whether it is over."""
+        until = self._clock.now() + RAMP_S
+        while self._clock.now() < until:
+            yield False
+        yield from (True, True)
 
     def _where(self, axis: Cia402Axis, by_sdo: bool) -> float | None:
         """By process data, or by SDO of one that fell back to PRE-OPERATIONAL; None of one that does not answer."""

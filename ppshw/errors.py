@@ -18,6 +18,7 @@
         ├── SoftLimit              a setpoint outside the axis' limits
         ├── HeartbeatLost          a node fell silent
         ├── BusLost                the CAN bus or its adapter is gone
+        │   └── BusTaken           or another program's
         ├── LineLost               a serial line or its adapter is gone
         ├── HardwareTimeout        a device answers, but not in time
         ├── IdentityMismatch       another device than the site file says
@@ -112,6 +113,10 @@ class HeartbeatLost(HardwareError):
 
 
 class BusLost(HardwareError):
+    pass
+
+
+class BusTaken(BusLost):
     pass
 
 

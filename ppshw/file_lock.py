@@ -12,9 +12,9 @@ from pathlib import Path
 def locked(path: Path) -> int:
     """A handle that holds the lock on a file, made if it is not there.
 
-    Raises BlockingIOError when somebody else does, OSError when it cannot be made or opened, ImportError on Windows.
+    Raises BlockingIOError when somebody else does, OSError when it cannot be made or opened.
     """
-    import fcntl  # not on Windows
+    import fcntl  # not on Windows, where no machine is driven from
 
     while True:
         handle = _opened(path)

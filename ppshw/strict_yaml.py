@@ -82,7 +82,7 @@ class Section:
         if node is None:
             return str(default)
         value = _construct(node)
-        if not isinstance(value, str) or not value:
+        if not isinstance(value, str) or not value or "\0" in value:  # which no name of a file may hold
             self._fail(node, f"'{self._path(key)}' is {_show(value)}, expected a text")
         if choices and value not in choices:
             self._fail(node, f"'{self._path(key)}' is '{value}', expected {' or '.join(choices)}")

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 
+SPEEDS = 1e-3, 1e5  # that a site file may say
+
 
 class ScaledClock:
     """`at` and `every` run callbacks in a thread of this clock, until close().

@@ -162,6 +162,9 @@ def compensate(a: argparse.Namespace) -> None:
 
 
 def move(a: argparse.Namespace) -> None:
+    from ppshw.cli.site import require_a_system_that_locks
+
+    require_a_system_that_locks()
     from campaigns.plan import travel_time
     from campaigns.site import load_site, open_bench
 

@@ -6,17 +6,25 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, put, say
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar
 
+if TYPE_CHECKING:
+    from ppshw.machine import Machine
+
 
 def simulate(a: argparse.Namespace) -> None:
+    from simulators.scaled_clock import SPEEDS
     from simulators.serve import is_ours, serve
 
     machine = machine_of(a)
+    _refuse_what_no_site_moves(machine)
+    if not SPEEDS[0] <= a.speed <= SPEEDS[1]:
+        raise BadInput(f"--speed {a.speed:g}: expected {SPEEDS[0]:g} to {SPEEDS[1]:g}")
     site = new_file(a.site_out, machine.file)
     if site.is_file() and not is_ours(site):
         raise BadInput(f"{site}: exists already and is no site file of simulated hardware, expected a new file")
@@ -26,6 +34,16 @@ def simulate(a: argparse.Namespace) -> None:
 
     ready = announce if a.json else None
     serve(machine.file, site, seed=a.seed, speed=a.speed, force_protocol=a.force_sensor, ready=ready)
+
+
+def _refuse_what_no_site_moves(machine: Machine) -> None:
+    for joint in machine.joints:
+        given = {} if joint.limits is None else vars(joint.limits)
+        if lacking := [key for key in ("lower", "upper", "velocity", "acceleration") if given.get(key) is None]:
+            raise BadInput(
+                f"{machine.file}: joint {joint.name} has no {', '.join(lacking)}, expected limits: without them "
+                "nothing is moved"
+            )
 
 
 def demo(a: argparse.Namespace) -> None:

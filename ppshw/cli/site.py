@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import textwrap
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -20,7 +21,14 @@ from ppshw.whole_file import file_hash
 NARROWEST = 16  # letters of a column that is wrapped
 
 
+def require_a_system_that_locks() -> None:
+    """Raises BadInput on Windows, which has neither the locks nor the signals by which axes are kept to one program."""
+    if sys.platform == "win32":
+        raise BadInput("machines are driven from Linux (or macOS), not from Windows")
+
+
 def run(a: argparse.Namespace) -> None:
+    require_a_system_that_locks()
     from campaigns.plan import plan_campaign
     from campaigns.runner import run_campaign
     from campaigns.script import load_script
@@ -103,6 +111,7 @@ def _so_far(out: Path, machine: Any) -> Any:
 
 
 def check(a: argparse.Namespace) -> None:
+    require_a_system_that_locks()
     from campaigns.site import load_site, open_bench
 
     site = load_site(a.site)

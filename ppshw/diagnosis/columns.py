@@ -54,6 +54,7 @@ ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, wh
 # zero that jumped.) How much less it must leave for the given sign to be wrong, and by how many standard errors; and
 # for two signs to be told apart at all.
 ASKED, IN_A_ROW, REVERSED, SURE, TOLD = 400, 15, 1.04, 3.0, 1.01
+FIRST_ROUNDS = 3  # of the estimates that ask for the sign first; where they say it is wrong, others go on to the end
 FEWEST = 10  # visits of which a standard error says something
 FARTHEST = 0.9  # share of the visits, the others counting as these
 TO, PLURAL = " … ", {"has": "have", "is": "are"}
@@ -417,7 +418,7 @@ def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mist
 
 
 def _plainly(machine: Machine, sound: Recording, recording: Recording) -> Estimate:
-    return estimate(joint_model(machine, sound), recording)
+    return estimate(joint_model(machine, sound), recording, rounds=FIRST_ROUNDS)
 
 
 def _left(

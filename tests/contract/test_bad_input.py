@@ -664,9 +664,33 @@ def test_a_bus_that_is_described_badly(desk: Path, bus: str, lacks: str) -> None
     assert lacks in refused(desk, "check", "--site", desk / "site.yaml")
 
 
+def test_an_adapter_whose_makers_library_is_not_there_has_its_row(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """python-can's kvaser then says NameError, which is no error of ours."""
+
+    def connect(*_: Any, **__: Any) -> None:
+        raise NameError("name 'canGetNumberOfChannels' is not defined")
+
+    monkeypatch.setattr("can.Bus", connect)
+    swap("{interface: virtual, channel: desk}", "{interface: kvaser, channel: 0}")(desk / "site.yaml")
+    said = ppshw("check", "--site", desk / "site.yaml")
+    assert said.code == 1
+    assert one_line(said.err)
+    cause = "CAN kvaser 0: cannot be opened: NameError: name 'canGetNumberOfChannels' is not defined"
+    assert said.err.startswith(f"ppshw: {cause}")
+    assert said.out.startswith("CAN kvaser 0")
+
+
+def test_machines_are_not_driven_from_windows(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ppshw.cli.site.sys.platform", "win32")
+    for words in (["check"], ["run", "little.yaml", "--out", "x.db"]):
+        assert "machines are driven from Linux (or macOS), not" in refused(desk, *words, "--site", desk / "site.yaml")
+
+
 def test_a_site_whose_machine_file_is_missing_names_that_file(desk: Path) -> None:
     swap("machine: machine.yaml", "machine: other.yaml")(desk / "site.yaml")
     assert f"{desk / 'other.yaml'}: no such file" in refused(desk, "check", "--site", desk / "site.yaml")
+    swap("machine: other.yaml", 'machine: "\\0"')(desk / "site.yaml")
+    assert "'machine' is '\\x00', expected a text" in refused(desk, "check", "--site", desk / "site.yaml")
 
 
 # --- calibrations ----------------------------------------------------------------------------------------------------
@@ -773,6 +797,11 @@ ASKED: dict[str, tuple[str, str]] = {
     "a demo into a file": ("demo --out good.csv", "good.csv: exists and is no folder"),
     "a demo over recordings": ("demo --out .", "more, which no demo made; expected a new or an empty folder"),
     "a speed of nothing": ("simulate --machine machine.yaml --site-out s.yaml --speed 0", "--speed: invalid positive number"),
+    "a speed beyond a clock's": ("simulate --machine machine.yaml --site-out s.yaml --speed 1e9", "--speed 1e+09: expected 0.001 to 100000"),
+    "simulated hardware of a joint that no site may move": ("simulate --machine still.yaml --site-out s.yaml",
+                                                            "still.yaml: joint turn has no lower, upper, velocity, acceleration, expected"),
+    "simulated hardware of a joint whose speed nobody says": ("simulate --machine slow.yaml --site-out s.yaml",
+                                                              "slow.yaml: joint rail has no velocity, expected limits: without them"),
     "a site file nowhere": ("simulate --machine machine.yaml --site-out no/s.yaml", "no/s.yaml: the folder no does not exist"),
     "simulated hardware over a real site": ("simulate --machine machine.yaml --site-out site.yaml",
                                             "site.yaml: exists already and is no site file of simulated hardware, expected a new file"),
@@ -826,6 +855,12 @@ def test_a_command_that_cannot_be_carried_out(desk: Path, case: str, monkeypatch
     put("- 1\n")(desk / "list.yaml")
     put("name: [\n")(desk / "cut.yaml")
     swap("  points: {treatment: [0.4, 0, 0.1]}\n", "")(desk / "plain.yaml")
+    for name, old, new in (
+        ("still.yaml", "    limits: {lower: -1.5, upper: 1.5, velocity: 0.5, acceleration: 1.0}\n", ""),
+        ("slow.yaml", "velocity: 0.2, ", ""),
+    ):
+        shutil.copyfile("machine.yaml", name)
+        swap(old, new)(desk / name)
     words = command.replace("CAL", "--machine machine.yaml --calibration cal.json").split()
     assert expected in refused(desk, *words)
 

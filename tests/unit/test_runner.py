@@ -28,6 +28,7 @@ from campaigns.script import LoadCase, load_script
 from drivers.ports import Atmosphere, DeviceInfo, MoveReport, Shot, WallClock, WrenchReading
 from ppshw.errors import (
     BeamLost,
+    BusTaken,
     CompensationRefused,
     DriveFault,
     FollowingError,
@@ -75,6 +76,14 @@ class FakeAxes:
         self.slip, self.slips_from = 0.0, np.inf  # how far the first axis slips [m], and from which machine time on
         self.homed = ["yaw"]
         self.serials: dict[str, str] = {}
+        self.taken = False  # by another program
+
+    def connect(self) -> None:
+        if self.taken:
+            raise BusTaken("CAN", "another program has it")
+
+    def look(self) -> list[DeviceInfo]:
+        return self.check()
 
     def check(self) -> list[DeviceInfo]:
         return [DeviceInfo(name, "fake", self.serials.get(name, "1"), "1", "ready") for name in self.names]
@@ -279,6 +288,24 @@ def test_a_whole_campaign_ends_in_a_recording_that_the_model_side_reads(situatio
     np.testing.assert_allclose(np.diff(recording.time), 16.0, atol=1e-3)
     assert recording.load_age_s is not None  # put on at once before the first visit under it
     np.testing.assert_allclose(recording.load_age_s, [10.0, 26.0, 42.0] * 2, atol=0.11)
+
+
+def test_instruments_of_a_machine_that_another_program_moves_are_left_alone(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where several programs may open one port, an answer went to the wrong one, and ended the campaign there."""
+    asked: list[str] = []
+    for kind in (FakeTracker, FakeSensor):
+        monkeypatch.setattr(kind, "start", lambda self: asked.append(self.name))
+        monkeypatch.setattr(kind, "check", lambda self: asked.append(self.name))
+    situation.axes.taken = True
+    with pytest.raises(BusTaken, match="another program has it"):
+        situation.run()
+    with situation.bench() as bench:
+        rows = {row.device: row.problem for row in bench.look()}
+    assert asked == []
+    assert rows["tracker"] == rows["force sensor"] == "not asked: the program that has the axes may be measuring"
+    assert not situation.out.exists()
 
 
 def test_a_recording_that_was_begun_without_the_ages_of_its_loads_goes_on_without(situation: Situation) -> None:
@@ -620,7 +647,7 @@ def test_check_has_a_line_for_every_thermometer(situation: Situation) -> None:
 
 def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
-    situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+    situation.thermometer.values = [21.0, 24.5, 24.0, 22.5]
     situation.run()
     assert situation.events("suspended") == ["suspended: column at 24.50 °C, outside 18 … 23 °C"]
     assert len(situation.events("released")) == 1
@@ -632,7 +659,7 @@ def test_a_run_waits_until_the_temperature_is_back_in_its_window(tmp_path: Path)
 def test_an_axis_that_falls_silent_while_the_run_waits_is_missed_within_a_second(tmp_path: Path, wait: str) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
     if wait == "suspended":
-        situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+        situation.thermometer.values = [21.0, 24.5, 24.0, 22.5]
     situation.axes.silent_from = 5.0  # of a minute of suspension, or of 3 s of motion and 7 s of settling
     with pytest.raises(HeartbeatLost, match="lift: no heartbeat"):
         situation.run()
@@ -714,7 +741,7 @@ def test_a_fault_is_no_less_one_where_the_person_who_is_asked_gives_up(
 def test_an_axis_that_slips_while_the_run_waits_is_noticed_within_a_second(tmp_path: Path, wait: str) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
     if wait == "suspended":
-        situation.thermometer.values = [21.0, 21.0, 24.5, 24.0, 22.5]
+        situation.thermometer.values = [21.0, 24.5, 24.0, 22.5]
     situation.axes.slip, situation.axes.slips_from = -3e-3, 5.0
     with pytest.raises(FollowingError, match=r"lateral: moved from .* to .* while it should stand"):
         situation.run()
@@ -793,7 +820,7 @@ def test_a_resumed_run_whose_axes_stand_where_they_stood_says_nothing(situation:
 
 def test_what_the_operator_says_while_a_run_is_suspended_is_done(tmp_path: Path) -> None:
     situation = Situation(tmp_path, "temperature: {min_C: 18, max_C: 23}\n" + SCRIPT)
-    situation.thermometer.values = [21.0, 21.0, 21.0, 21.0] + [24.5] * 5 + [22.5]
+    situation.thermometer.values = [21.0, 21.0, 21.0] + [24.5] * 5 + [22.5]
     # before visit 2: nothing; suspended: pause, go on, then skip; at visit 3 still too warm: redo visit 1
     commands = [None, None, Command.PAUSE, Command.GO_ON, Command.SKIP, None, Command.REDO]
     situation.run(Scripted(situation, *commands))
@@ -831,8 +858,13 @@ def test_a_load_that_hardly_weighs_anything_stops_the_run_before_the_machine_mov
         situation.run(Forgets())
     assert situation.indices() == [0, 1, 2]
     assert len(situation.axes.moves) == 3
+    assert situation.events("load not on") == [f"box: {reads} of 490 N"]
+    situation.clock.sleep(600.0)  # it is put on only then
     situation.run(Scripted(situation))
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
+    recording = load_recording(situation.out, situation.machine)
+    assert recording.load_age_s is not None
+    np.testing.assert_allclose(recording.load_age_s, [10.0, 26.0, 42.0] * 2, atol=0.11)
 
 
 @pytest.mark.parametrize(("long", "said"), [(5, 0), (6, 1), (12, 2)])
@@ -865,8 +897,18 @@ def test_a_sensor_that_says_the_very_same_at_two_visits_is_frozen(situation: Sit
     assert situation.indices() == [0, 1, 2, 3, 4, 5]
 
 
+def test_a_place_called_as_the_force_sensors_own_is_refused_before_an_axis_is_enabled(
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FakeThermometer, "read", lambda self: {"force_sensor": 21.0})
+    with pytest.raises(HardwareError, match="thermometers: a place is called 'force_sensor', as the sensor's own"):
+        situation.run()
+    assert not situation.axes.started
+    assert not situation.out.exists()
+
+
 def test_a_thermometer_that_is_gone_ends_the_run(situation: Situation) -> None:
-    situation.thermometer.gone_after = 4  # two at the start, two visits
+    situation.thermometer.gone_after = 3  # one at the start, two visits
     with pytest.raises(HardwareError, match="thermometers: no reading of column any more"):
         situation.run()
     assert situation.indices() == [0, 1]

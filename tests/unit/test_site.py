@@ -101,6 +101,13 @@ HURRIED = ("axes:\n", "clock: {speed: 20}\naxes:\n")
         ("following_window: 2.0e-3", "following_window: 100", "'axes.lateral.following_window' is 100, expected"),
         ("window_s: 0.2", "following_s: 100", "'axes.lateral.following_s' is 100, expected between 0 and 5"),
         ("gate_m: 0.05", "gate_m: 10", "'tracker.gate_m' is 10, expected between 1e-09 and 0.5"),
+        ("gate_m: 0.05", "wavelength_um: 658", "'tracker.wavelength_um' is 658, expected between 0.35 and 1.7"),
+        ("gate_m: 0.05", "reference_index: 286.3", "'tracker.reference_index' is 286.3, expected between 1 and 1.001"),
+        ("gate_m: 0.05", "search_rad: 1.5", "'tracker.search_rad' is 1.5, expected between 1e-09 and 0.2"),
+        ("gate_m: 0.05", "timeout_s: 15000", "'tracker.timeout_s' is 15000, expected between 1e-09 and 120"),
+        ("samples: 32", "timeout_s: 2000", "'force_sensor.timeout_s' is 2000, expected between 1e-09 and 120"),
+        ("fast: 0.02", "timeout_s: 120000", "'axes.lateral.homing.timeout_s' is 120000, expected between 0.1 and 3600"),
+        ("max_age_s: 120", "max_age_s: 1e12", "max_age_s' is 1e+12, expected between 0 and 3600"),
         ("samples: 32", f"matrix: [{', '.join(['0'] * 36)}]", "'force_sensor.matrix' is singular"),
         ("samples: 32", f"matrix: [{', '.join(['1e-3'] * 36)}]", "expected six independent rows"),
         # two words for one thing

@@ -28,14 +28,20 @@ channels = (f"cia402-{n}" for n in itertools.count())
 class Machine:
     """Three drives and the group that drives them."""
 
-    def __init__(self, *axes: AxisConfig, kind: type[SimulatedDrive] = SimulatedDrive, **drive: Any) -> None:
+    def __init__(
+        self,
+        *axes: AxisConfig,
+        kind: type[SimulatedDrive] = SimulatedDrive,
+        answer_timeout: float = BusConfig.answer_timeout,
+        **drive: Any,
+    ) -> None:
         self.clock = SteppedClock(grace=0.12)
         self.rack = SimulatedDriveRack(self.clock, next(channels))
         self.axes = axes or (SLIDE, LIFT, SLEW)
         for axis in self.axes:
             self.rack.add(kind(axis.node_id, self.clock, self.rack.network, **drive))
         virtual = {"interface": "virtual", "channel": self.rack.channel}
-        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.2)
+        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.2, answer_timeout=answer_timeout)
         self.group = Cia402Group(self.axes, bus, self.clock)
 
     @property

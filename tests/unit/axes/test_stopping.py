@@ -167,6 +167,19 @@ def test_a_drive_that_acknowledges_a_stop_and_moves_on_is_said(build: Callable[.
     assert abs(m.drive("lift").motor_velocity(m.clock.now())) > 0
 
 
+def test_only_a_silent_axis_is_said_where_waiting_for_it_takes_as_long_as_all_ramps(
+    build: Callable[..., Machine],
+) -> None:
+    m = build(answer_timeout=5.0)
+    m.group.start()
+    m.after(2.5, m.drive("slew").go_silent)
+    with pytest.raises(HardwareError, match="slew: no "):
+        m.group.move(FAR)
+    m.group.close()
+    assert m.group.unstopped == ["slew"]
+    assert [m.drive(name).power for name in ("slide", "lift")] == [Power.SWITCH_ON_DISABLED] * 2
+
+
 def test_an_axis_whose_power_went_before_it_stood_is_said(machine: Machine) -> None:
     for drive in machine.drives:
         drive.store(0x6085, 0, 500)  # 10 mrad/s² of the slew, which needs 10 s; 5 and 2.5 mm/s² of the others
