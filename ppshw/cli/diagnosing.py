@@ -80,10 +80,12 @@ def diagnose(a: argparse.Namespace) -> None:
 
 def _doubts_before(machine: Any, recording: Any) -> list[str]:
     """What is odd about a recording before anything is looked for, each in a line."""
+    from ppshw.identification.plausible import reads_the_same
+
     out = doubts_about(machine, recording)
     if not np.isfinite(recording.time).all():
         out.append("no column time: what goes with time is said in hours at 40 visits an hour")
-    if recording.has_wrench and not any(recording.load):
+    if recording.has_wrench and not any(recording.load) and not reads_the_same(recording):
         out.append("no column load: when one was changed is known by what the force sensor read alone")
     if not recording.has_wrench and not any(recording.load):
         out.append("no column load and no wrench: a load that was changed looks like a zero that jumped")

@@ -20,6 +20,7 @@ from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
+from ppshw.recording import Recording
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.covariates import columns_at
@@ -64,7 +65,7 @@ def carry(space: Workspace, tried: Tried, found: list[Found]) -> Carried:
     before = held_out(space.as_estimated(), taken[:, :, :0], prior[:0])
     after = held_out(space, taken[:, :, kept], prior[kept]) if found else before
     for f in found:
-        if f.carried or tried.candidates[f.best].covariates != ("time",):
+        if f.carried or tried.candidates[f.best].covariates != ("time",) or nobody_knows_loads(space.recording):
             continue
         mine = kept.copy()
         mine[f.columns(tried.candidates[f.best])] = True
@@ -119,6 +120,13 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
             if names := _smooth_over(column):
                 add(f, names, k)
     return [left for left in out.values() if not a_matter_of_time(tried.space.context, left.names)]
+
+
+def nobody_knows_loads(recording: Recording) -> bool:
+    """Whether neither labels nor a force sensor say which load it was: what changed with it looks like a matter of
+    time then, and blocks between its visits are predicted better by what the next ones are not."""
+    unread = not recording.has_wrench or bool((recording.wrench == recording.wrench[0]).all())
+    return unread and not any(recording.load)
 
 
 def a_matter_of_time(c: Context, names: tuple[str, ...]) -> bool:
@@ -194,18 +202,19 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
 def _held_words(space: Workspace, candidate: Candidate, f: Found) -> dict[str, Any]:
     """What goes on with time alone, in the answer's words."""
     hours = space.context.hours
+    moved = sorted({COMPONENTS[c.component] for c in candidate.columns if c.on == "frame"})
     return {
         "effect": "unexplained",
         "covariates": ["time"],
         "history": None,
         "frame": candidate.frame,
-        "components": sorted({COMPONENTS[c.component] for c in candidate.columns if c.on == "frame"}),
+        "components": moved,
         "length": {},
         "std": [],
         "region": {"time": [float(hours[0]), float(hours[-1])]},
         "log_evidence": f.evidence,
-        "sentence": "what depends on time is carried without a name, as it was, and held where it was at the end; "
-        "waves fade from there on, those of one period are left out.",
+        "sentence": f"what depends on time and moves {candidate.frame} {', '.join(moved)} is carried without a name, "
+        "as it was, and held where it was at the end; waves fade from there on, those of one period are left out.",
     }  # fmt: skip
 
 

@@ -458,10 +458,16 @@ def _from_to(names: Sequence[str]) -> str:
 
 
 def _unlike_a_payload(recording: Recording, wrench: Array, g: Array) -> float:
-    """Share of the wrenches that no rigid payload under gravity explains: force and moment each count half."""
-    held = payloads(wrench, recording.load, g)
-    held[:, 0] = np.maximum(held[:, 0], 0.0)  # nothing weighs less than nothing
-    beside = wrench - weighs(held, g)
+    """Share of the wrenches that no rigid payload under gravity explains: force and moment each count half. Where
+    labels tell no loads apart every visit may have one of its own: a force is its weight then, a moment across it."""
+    if len(set(recording.load)) > 1:
+        held = payloads(wrench, recording.load, g)
+        held[:, 0] = np.maximum(held[:, 0], 0.0)  # nothing weighs less than nothing
+        beside = wrench - weighs(held, g)
+    else:
+        along = np.einsum("ncx,nx->nc", wrench.reshape(-1, 2, 3), g) / np.maximum((g**2).sum(axis=1), 1e-30)[:, None]
+        weight, turns = np.maximum(along[:, :1], 0.0) * g, along[:, 1:] * g
+        beside = np.concatenate([wrench[:, :3] - weight, turns], axis=1)
     shares = [
         float((beside[:, some] ** 2).sum() / max(float((wrench[:, some] ** 2).sum()), 1e-30))
         for some in (slice(0, 3), slice(3, 6))

@@ -75,13 +75,15 @@ def scatter_of(
     more = float(np.exp(np.ptp(matrix[:, k]) * strength[k, direction] * ranges[direction] / 2))
     if beside and more < BESIDE:
         return None
+    most, least, std = _ends(space, matrix[:, k])
     finding: dict[str, Any] = {
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
-        "parameters": {"scatter_ratio": {"value": more, "std": None, "unit": "1"}},
+        "parameters": {"scatter_ratio": {"value": most / least, "std": std, "unit": "1"}},
         "p_value": p, "rms_mm": None, "weight": round((1 - OUTSIDE) * float(1 / (1 - np.e * p * np.log(p))), 4),
         "alternatives": [], "aliases": [],
-        "sentence": f"the scatter {way} with {name} (by a factor of {more:.2g} over its range): noise, not a bias.",
+        "sentence": f"the scatter {way} with {name} ({1e3 * most:.2g} mm rms in the fifth of the visits where it is "
+        f"largest by that, {1e3 * least:.2g} where it is least): noise, not a bias.",
     }  # fmt: skip
     evenly = strength[k, 0] * ranges[0]  # as it would be with noise that grows alike in all directions
     spread = np.exp(whole[:, k] * evenly / 2)
@@ -115,6 +117,21 @@ def scatter_without_a_name(space: Workspace, scatter: Scatter) -> dict[str, Any]
         "rms_mm": float(np.sqrt(np.nansum(left**2) / max(int(space.recording.seen[space.fit].sum()), 1)) * 1e3),
         "p_value": scatter.finding["p_value"],
     }  # fmt: skip
+
+
+def _ends(space: Workspace, size: Array) -> tuple[float, float, float]:
+    """rms [m] of readings in the fifths of the fit visits with the largest and the smallest sizes (F,), and the
+    standard deviation of their ratio, by how visits of a fifth differ."""
+    left, seen = space.residual()[space.fit].reshape(len(size), -1), space.recording.seen[space.fit].sum(axis=1)
+    fifth = max(2, len(size) // 5)
+    order = np.argsort(size)
+    means, shares = [], []
+    for some in (order[-fifth:], order[:fifth]):
+        square = np.nansum(left[some] ** 2, axis=1) / np.maximum(seen[some], 1)
+        means.append(float(square.mean()))
+        shares.append(float(square.var(ddof=1) / fifth / max(square.mean(), 1e-300) ** 2))
+    most, least = (max(mean, 1e-300) ** 0.5 for mean in means)
+    return most, least, most / least * 0.5 * sum(shares) ** 0.5
 
 
 def _may_scatter(space: Workspace, nameless: bool) -> dict[str, Array]:

@@ -179,7 +179,18 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         said.append(
             f"{silent}, though loads change ({loads}): what they do to the machine cannot be told from its errors"
         )
+    elif reads_the_same(recording):
+        said.append(
+            "the columns Fx … Mz read the same at every visit, to the last digit: does the force sensor measure? "
+            "A load that was changed looks like a zero that jumped"
+        )
     return said
+
+
+def reads_the_same(recording: Recording) -> bool:
+    """Whether a force sensor is read that says the same of every visit, and not nothing."""
+    read = recording.wrench
+    return len(read) > 1 and bool(recording.has_wrench and read.any() and (read == read[0]).all())
 
 
 def _hardly_loaded(recording: Recording) -> str:

@@ -416,6 +416,20 @@ def test_rows_that_stand_there_twice_and_loads_without_a_wrench_are_warned_of(de
     assert len(json.loads(said.out)["warnings"]) == 2
 
 
+def test_a_sensor_that_always_reads_the_same_is_warned_of_without_labels_too(desk: Path) -> None:
+    column("load", None)(desk / "good.csv")
+    words = ["evaluate", desk / "good.csv", "--machine", desk / "machine.yaml"]
+    assert "read the same" not in ppshw(*words).err
+    rows = [line.split(",") for line in (desk / "good.csv").read_text(encoding="utf-8").splitlines()]
+    for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+        for row in rows[2:]:
+            row[rows[0].index(name)] = rows[1][rows[0].index(name)]
+    (desk / "good.csv").write_text("\n".join(map(",".join, rows)) + "\n", encoding="utf-8")
+    assert (
+        "Fx … Mz read the same at every visit, to the last digit: does the force sensor measure?" in ppshw(*words).err
+    )
+
+
 @pytest.mark.parametrize(
     ("effect", "column", "name"),
     [
