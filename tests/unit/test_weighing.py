@@ -201,6 +201,24 @@ def test_errors_that_its_readings_leave_no_room_for_are_not_asked_for(clean: Con
     assert all(args["component"] < 0 for args in alone)  # all channels' gain alike, which no payload weighs
 
 
+def test_a_whole_matrix_is_asked_for_where_readings_show_more_of_it_than_another_payload(clean: Context) -> None:
+    """It took the missing compliance of a last link, with cross-talk of 0.7 N/(N m) that no reading showed."""
+
+    def asked(c: Context) -> bool:
+        forms = list(sensor_errors(c))
+        out = {id(k) for k in ruled_out(c, forms)}
+        whole = [k for k in forms if len(k.columns) == 36 and "source" in k.columns[0].args]
+        return id(whole[0]) not in out
+
+    assert not asked(clean)
+    crossed = clean.recording.wrench @ (np.eye(6) + 0.05 * np.random.default_rng(3).normal(size=(6, 6)))
+    assert asked(reading(clean, crossed))
+    # other gains of forces and moments, and a sensor that sits elsewhere, weigh another payload
+    elsewhere = clean.recording.wrench * ([1.05] * 3 + [0.9] * 3)
+    elsewhere[:, 3:] += np.cross([0.02, -0.01, 0.03], elsewhere[:, :3])
+    assert not asked(reading(clean, elsewhere))
+
+
 def test_errors_that_its_readings_show_or_cannot_show_are_asked_for(clean: Context) -> None:
     c = reading(clean, drift(clean.recording))
     forms = list(sensor_errors(c))

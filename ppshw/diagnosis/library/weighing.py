@@ -36,6 +36,7 @@ LIKELIER, FEW = 10.0, 3
 NEARLY = 1e-3  # of the log evidence, by which fewer numbers may say less: some sensors have hardly any noise
 PART, VISITS = 64, 512  # columns and visits at a time
 MANY = 6  # numbers of a form: a zero or a gain of every channel
+OF_ANY_MATRIX = 5  # gains of the forces and of the moments, and where it sits: another payload reads so, too
 SMALLEST = 1e-9  # of what a column makes that no payload takes
 
 
@@ -177,11 +178,13 @@ def _squares(c: Context, columns: Sequence[Column], noise: Array) -> tuple[Array
 
 
 def _most(gram: Array, says: Array, moves: Array, at: Sequence[int]) -> float:
-    """How far columns `at` may move the reflectors by what the readings say of them, rms [m]."""
+    """How far columns `at` may move the reflectors by what the readings say of them, rms [m]. What they cannot say
+    moves them without end; but of a whole matrix no more than that of any, which has forms of its own."""
     lengths, turn = np.linalg.eigh(gram[np.ix_(at, at)])
     move = moves[np.ix_(at, at)]
     silent = lengths < SMALLEST * max(float(lengths[-1]), 1.0)
-    if np.einsum("ij,ik,kj->j", turn, move, turn)[silent].sum() > SMALLEST**2:
+    unsaid = np.einsum("ij,ik,kj->j", turn, move, turn)[silent].sum() > SMALLEST**2
+    if unsaid and not (len(at) > MANY and silent.sum() <= OF_ANY_MATRIX):
         return np.inf
     lengths, turn = lengths[~silent], turn[:, ~silent]
     covariance = (turn / lengths) @ turn.T
