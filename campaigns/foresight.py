@@ -156,6 +156,8 @@ class Foresight:
             )
             aliases = wrap(", ".join(entry["aliases"]), max(22, 80 - len(head))) or [""]
             lines += [head + aliases[0], *(" " * len(head) + more for more in aliases[1:])]
+        if any(entry["blind"] for entry in self.rows):
+            lines.append(f"! stays unseen at {BLIND_BEYOND:g} × repeatability")
         return lines
 
 

@@ -106,12 +106,11 @@ class Site:
         return ConsoleOperator() if kind == "console" else AutomaticOperator(partial(put_on_by_line, port), "simulated")
 
 
-def load_site(path: Path | str, machine: Machine | None = None) -> Site:
+def load_site(path: Path | str) -> Site:
     """Read and check a site file and the machine file it names. Raises SiteError (or MachineFileError)."""
     path = Path(path)
     top = read_yaml(path, SiteError)
-    named = top.text("machine")
-    machine = machine or load_machine(path.parent / named)
+    machine = load_machine(path.parent / top.text("machine"))
     speed, epoch = _clock(top)
     bus = _bus(top, speed)
     tracker_section = top.need("tracker")

@@ -12,6 +12,7 @@
     ├── IdentificationFailed   the data do not determine what was asked
     ├── RunFailed              a visit cannot be carried out as asked, in the middle of a campaign
     ├── Stopped                the operator stopped the run
+    ├── SealBroken             a truth is not the one whose hash was published before the diagnosis
     └── HardwareError          a device and the cause
         ├── DriveFault             the drive reports a fault
         ├── FollowingError         an axis is not where it was sent
@@ -85,6 +86,10 @@ class RunFailed(PpshwError):
 
 class Stopped(PpshwError):
     """The operator stopped the run; everything measured so far is in the recording."""
+
+
+class SealBroken(PpshwError):
+    """The truth is not the one whose hash was published before the diagnosis."""
 
 
 class HardwareError(PpshwError):

@@ -76,13 +76,7 @@ def point_positions(machine: Machine, q: Array, points: Array, errors: Array | N
 
 def tip_levers(arms: Array) -> Array:
     """(N, T, 3) from the end effector's origin to the targets → (N, T, 3, 6): ∂p/∂(translation, rotation)."""
-    out = np.zeros((*arms.shape, 6))
-    out[..., :3] = np.eye(3)
-    x, y, z = arms[..., 0], arms[..., 1], arms[..., 2]
-    out[..., 0, 4], out[..., 0, 5] = z, -y
-    out[..., 1, 3], out[..., 1, 5] = -z, x
-    out[..., 2, 3], out[..., 2, 4] = y, -x
-    return out
+    return np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -skew(arms)], axis=-1)
 
 
 def point_jacobian(chain: Array, positions: Array, errors: Array | None = None) -> Array:
@@ -112,13 +106,16 @@ def point_jacobian(chain: Array, positions: Array, errors: Array | None = None) 
     return out
 
 
-def tip_jacobian(chain: Array, tip: Array, errors: Array) -> Array:
-    """How the end effector moves per generalized error, exact at these errors, in its own axes about its own origin.
+def tip_jacobian(chain: Array, tip: Array, errors: Array | None = None) -> Array:
+    """How the end effector moves per generalized error, exact at these errors, in its own axes about its own origin:
+    without errors the Jacobian J(q) of eq. (12), ΔX = J ε (eq. 8, 10).
 
     chain    (N, n+1, 4, 4)    `frames(machine, q, errors)`;  tip (N, 4, 4);  errors (N, n+1, 6)    [m, rad]
     returns  (N, 6, n+1, 6)    translation, then rotation                                          [m/m, m/rad; rad/rad]
     """
-    turning = chain[..., :3, :3] @ np.swapaxes(rotation_rpy(errors[..., 3:]), -1, -2) @ _angle_rates(errors[..., 3:])
+    turning = chain[..., :3, :3]
+    if errors is not None:
+        turning = turning @ np.swapaxes(rotation_rpy(errors[..., 3:]), -1, -2) @ _angle_rates(errors[..., 3:])
     to_tip = np.swapaxes(tip[:, :3, :3], -1, -2)
     out = np.zeros((len(chain), 6, chain.shape[1], 6))
     translation = point_jacobian(chain, tip[:, None, :3, 3], errors)[:, 0]
@@ -135,21 +132,6 @@ def _angle_rates(angles: Array) -> Array:
     out[..., 1, 0], out[..., 1, 1] = s[..., 2] * c[..., 1], c[..., 2]
     out[..., 2, 0], out[..., 2, 2] = -s[..., 1], 1.0
     return out
-
-
-def error_jacobian(machine: Machine, q: Array) -> Array:
-    """The generalized-error Jacobian J(q) of eq. (12): ΔX = J ε, ΔX in the end-effector frame (eq. 8, 10).
-
-    returns  (N, 6, 6(n+1))   columns ε_0 … ε_n, six each     [m/m, m/rad; rad/rad]
-    """
-    chain = frames(machine, q)
-    tip = chain[:, -1] @ machine.tip_in_link
-    to_tip = np.swapaxes(tip[:, :3, :3], -1, -2)
-    translation = point_jacobian(chain, tip[:, None, :3, 3])[:, 0]  # (N, 3, n+1, 6)
-    out = np.zeros((len(chain), 6, machine.n + 1, 6))
-    out[:, :3] = np.einsum("nij,njfk->nifk", to_tip, translation)
-    out[:, 3:, :, 3:] = np.einsum("nij,nfjk->nifk", to_tip, chain[..., :3, :3])
-    return out.reshape(len(chain), 6, -1)
 
 
 def joint_jacobian(machine: Machine, chain: Array, positions: Array) -> Array:
@@ -174,7 +156,7 @@ def travel(machine: Machine) -> tuple[Array, Array]:
 
 
 def freedoms(machine: Machine) -> int:
-    """In how many of a frame's six ways the joints of the ideal machine can move the end effector: the most over poses
+    """How many degrees of freedom, of six, the joints of the ideal machine give the end effector: the most over poses
     spread over the travel, since there are fewer at singular ones."""
     q = np.random.default_rng(0).uniform(*travel(machine), (16, machine.n))
     chain = frames(machine, q)

@@ -1,7 +1,7 @@
-"""Trouble on schedule: at a time, or after a visit, something happens to a device. Plain data, so a file can hold it.
+"""Trouble on schedule: at a time, or after a visit, something happens to a device.
 
-    - {after_visit: 4, device: yaw, do: trip, value: 0x8611}
-    - {at_s: 90, device: tracker, do: lose_beam}
+    Fault("yaw", "trip", 0x8611, after_visit=4)
+    Fault("tracker", "lose_beam", at_s=90)
 
 Devices: the joints' names (their drives), `bus` (all drives at once), `tracker`, `force_sensor`.
 
@@ -11,7 +11,7 @@ on stepped time is at the next wait of the bench.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,13 +75,6 @@ class FaultSchedule:
         self.struck.append(fault)
         for device in _devices(self._hardware, fault):
             _action(self._hardware, fault)(device, fault.value)
-
-
-def faults_from(entries: Sequence[Mapping[str, Any]]) -> list[Fault]:
-    try:
-        return [Fault(**entry) for entry in entries]
-    except TypeError as problem:
-        raise ValueError(f"not a fault: {problem}") from problem
 
 
 def repair(hardware: SimulatedHardware) -> None:

@@ -28,7 +28,6 @@ from typing import Any
 import yaml
 
 from simulators.can_gateway import SlcanGateway
-from simulators.faults import FaultSchedule, faults_from
 from simulators.hardware import SimulatedHardware
 from simulators.scaled_clock import ScaledClock
 from simulators.serial_line import TcpLine
@@ -50,20 +49,18 @@ def serve(
     seed: int = 1,
     speed: float = 1.0,
     force_protocol: str = "bota",
-    faults: list[dict[str, Any]] | None = None,
     ready: Callable[[Path], None] | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Write the site file, then serve until Ctrl-C, SIGTERM or `stop`.
 
-    faults  as simulators/faults.py has them, at times; a run in another process tells nobody of its visits
     ready   called with the site file's path when everything listens; by default a line is printed
     """
     stop = stop or threading.Event()
     with contextlib.suppress(ValueError):  # only the main thread may set this
         signal.signal(signal.SIGTERM, lambda *_: stop.set())
     site_out = Path(site_out).resolve()
-    with serving(machine_file, site_out, seed=seed, speed=speed, force_protocol=force_protocol, faults=faults):
+    with serving(machine_file, site_out, seed=seed, speed=speed, force_protocol=force_protocol):
         (ready or _announce)(site_out)
         with contextlib.suppress(KeyboardInterrupt):
             stop.wait()
@@ -77,7 +74,6 @@ def serving(
     seed: int = 1,
     speed: float = 1.0,
     force_protocol: str = "bota",
-    faults: list[dict[str, Any]] | None = None,
 ) -> Iterator[SimulatedHardware]:
     """Everything listens inside the context, and the site file is there."""
     with contextlib.ExitStack() as stack:
@@ -94,7 +90,6 @@ def serving(
         stack.callback(tracker.close)
         stack.callback(sensor.close)
         operator = stack.enter_context(_OperatorLine(hardware))
-        FaultSchedule(hardware, faults_from(faults or []))
         bus = {"interface": "slcan", "channel": gateway.url, "bitrate": 500_000, "sleep_after_open": 0}
         site = hardware.site_on(bus, {"tracker": tracker.url, "force_sensor": sensor.url}, times_at(speed))
         site["thermometers"][0]["max_age_s"] = 300.0 + 10.0 * speed

@@ -224,8 +224,7 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
         if u["visits_without"] == answer["visits"]:
             lines.append(f"structure over {over} is corrected at no visit: there were no data like any of these")
             continue
-        lines.append(
-            f"corrected without a name over {over}, by which unsure to "
-            f"{u['std_mm']:.3f} mm rms; not at {many(u['visits_without'], 'visit')}, where there were no data"
-        )
+        lines.append(f"corrected without a name over {over}, by which unsure to {u['std_mm']:.3f} mm rms")
+        if u["visits_without"]:
+            lines[-1] += f"; not at {many(u['visits_without'], 'visit')}, where there were no data"
     return lines

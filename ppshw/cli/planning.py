@@ -45,7 +45,7 @@ def plan(a: argparse.Namespace) -> None:
     lines = [
         f"{found.script.name} on {machine.name}: {many(summary.visits, 'visit')}, {many(summary.readings, 'reading')}, "
         f"{many(summary.load_changes, 'load change')}, about {_hours(summary.duration_s)}",
-        *(f"  {step:28}{count:6} visits" for step, count in summary.steps.items()),
+        *(f"  {step:28}{many(count, 'visit'):>12}" for step, count in summary.steps.items()),
         *lines,
     ]
     if a.visibility or (a.campaign is not None and len(found.visits) <= _FORESEEN):
@@ -62,9 +62,10 @@ def plan(a: argparse.Namespace) -> None:
             for v in found.visits
         ]
         step, load = (max(len(getattr(v, label)) for v in found.visits) for label in ("step", "load"))
-        rows = [f"{v.number:5} {v.step:{step}} {v.load:{load}}" + "".join(f"{x:9.4f}" for x in v.setpoints)
+        head = "visit, step, load, " + ", ".join(f"{joint.name} [{joint.unit}]" for joint in machine.joints)
+        rows = [f"{v.number:4} {v.step:{step}} {v.load:{load}}" + "".join(f" {x:7.4f}" for x in v.setpoints)
                 for v in found.visits]  # fmt: skip
-        text = "\n".join([text, *rows])
+        text = "\n".join([text, folded([head]), *rows])
     say(a, answer, text)
 
 

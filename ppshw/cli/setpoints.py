@@ -128,7 +128,7 @@ def _corrected(
         lines.append(f"{joint.name:16}{nominal:14.6f}{corrected:14.6f}{corrected - nominal:+14.6f}  {joint.unit}")
     size = np.linalg.norm(setpoints.predicted_error) * 1e3
     std = np.linalg.norm(setpoints.std) * 1e3
-    lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma)")
+    lines.append(f"{a.point}: {size:.3f} mm off without correction; predicted to {std:.3f} mm (1 sigma, 3-D)")
     if compensator.position_first or setpoints.at_odds:
         off, turned = setpoints.left[:3] * 1e3, setpoints.left[3:] * 1e3
         answer |= {"left_mm": off.tolist(), "left_mrad": turned.tolist()}

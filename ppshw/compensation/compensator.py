@@ -1,10 +1,10 @@
 """Wanted pose and load → corrected joint setpoints   (paper figure 3).
 
 The real machine, as calibrated, is asked where it would go; Newton's method moves the setpoints until it goes where it
-should. Joints that move the end effector in fewer than six ways cannot put a whole pose right: there the position of
-the point that was asked for goes first, and what stays is said. What cannot be honoured is refused with a reason:
-nothing is clipped. Of the effects that a diagnosis found those that can be known when a setpoint is computed are taken
-out (known_effects.py), the others named, with the reason.
+should. Joints that move the end effector in fewer than six degrees of freedom cannot put a whole pose right: there the
+position of the point that was asked for goes first, and what stays is said. What cannot be honoured is refused with a
+reason: nothing is clipped. Of the effects that a diagnosis found those that can be known when a setpoint is computed
+are taken out (known_effects.py), the others named, with the reason.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-7
 # Where a position goes before the orientation a radian counts as a tenth of a millimetre: ten milliradians that cannot
 # be put right then cost the position a nanometre on a lever of 0.1 m.
 POSITION_FIRST = 1e-4  # m/rad
-# A wanted pose is one that the ideal machine reaches; with fewer than six ways not all of its six numbers are free, and
-# it may be written with four decimals.
+# A wanted pose is one that the ideal machine reaches; with fewer than six degrees of freedom not all of its six numbers
+# are free, and it may be written with four decimals.
 REACHED, REACHED_IF_ROUNDED = 1e-6, 1e-4  # m, rad
 # A nearest pose, which leaves something, is found when no joint moves by more any longer [m, rad].
 AT_NEAREST = 1e-7

@@ -22,6 +22,7 @@ from ppshw.identification.joint import Estimate, believable, lines
 from ppshw.identification.visits import Linearisation
 from ppshw.kinematics import frames
 from ppshw.machine import WRENCH_COMPONENTS, Machine
+from ppshw.quantities import enumerated
 from ppshw.recording import Recording
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms import Situation
@@ -79,7 +80,7 @@ class Ambiguity:
         others = ["other parts of itself" if words == what else words for words in spoken[:3]]
         if len(spoken) > 3:
             others.append(f"{len(spoken) - 3} more")
-        said = f"{what}, with {_listed(others)}" if others else f"{what}, which nothing showed"
+        said = f"{what}, with {enumerated(others)}" if others else f"{what}, which nothing showed"
         return f"{said}: {'no visit separates them' if self.visit is None else 'would show with ' + self.visit.words}"
 
     def as_dict(self, machine: Machine) -> dict[str, Any]:
@@ -253,7 +254,3 @@ def _spoken(name: str, ground: str) -> str:
     change = "" if which == 0 else "the slope of " if match["component"] else "how its position changes "
     frame = "the base" if match["frame"] == ground else f"frame {match['frame']}"
     return f"{change}{what} of {frame}"
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from ppshw.identification.redundancy import PLAUSIBLE, Evidence, independent_columns, solver
 from ppshw.identification.sweeps import Configuration, Sweeps
-from ppshw.kinematics import error_jacobian, frames
+from ppshw.kinematics import frames, tip_jacobian
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.statics import link_wrenches
@@ -83,10 +83,9 @@ class Regression:
     @classmethod
     def of(cls, machine: Machine, terms: tuple[PaperTerm, ...], recording: Recording, whiten: Array) -> Regression:
         """whiten  (6, 6) on every visit's ΔX"""
-        count, situation = len(recording), Situation.of(recording)
-        jacobian = error_jacobian(machine, recording.q).reshape(count, 6, machine.n + 1, 6)
-        jacobian = np.einsum("ij,vjfk->vifk", whiten, jacobian)
-        wrenches = link_wrenches(machine, frames(machine, recording.q), recording.wrench)
+        count, situation, chain = len(recording), Situation.of(recording), frames(machine, recording.q)
+        jacobian = np.einsum("ij,vjfk->vifk", whiten, tip_jacobian(chain, chain[:, -1] @ machine.tip_in_link))
+        wrenches = link_wrenches(machine, chain, recording.wrench)
 
         def columns(term: PaperTerm) -> Array:
             return np.asarray(jacobian[:, :, term.frame] @ term.regressors(situation, wrenches))

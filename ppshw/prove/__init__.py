@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from ppshw.errors import BadInput, PpshwError
-from ppshw.prove.score import Json, SealBroken, judge, open_seal, read_answer, score_case
+from ppshw.errors import BadInput, PpshwError, SealBroken
+from ppshw.prove.score import Json, judge, open_seal, read_answer, score_case
 from ppshw.prove.table import summarise
 from ppshw.studies.engine import Cluster, Job, run_jobs
 from ppshw.whole_file import write_text

@@ -33,7 +33,7 @@ from scipy.stats import ncf
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.diagnosis.evidence import Name
 from ppshw.diagnosis.library import library
-from ppshw.errors import BadInput, PpshwError
+from ppshw.errors import BadInput, SealBroken
 from ppshw.evaluation import figures, residuals
 from ppshw.identification import identify
 from ppshw.identification.joint import Estimate
@@ -49,10 +49,6 @@ ATTAINABLE = 0.02  # below it, the share that was realised of an improvement is 
 MOST_FORMS = 40  # of each of several names
 NOISE_EFFECTS = ("outliers", "unsettled")  # scatter, not bias: the bound does not apply
 Json = dict[str, Any]
-
-
-class SealBroken(PpshwError):
-    """The truth is not the one whose hash was published before the diagnosis."""
 
 
 def open_seal(published: str, sealed: Path) -> Json:

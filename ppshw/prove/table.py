@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 Json = dict[str, Any]
 EDGES = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, np.inf)  # of √λ
@@ -55,15 +55,10 @@ def share(hits: Iterable[bool]) -> Json:
     """How many of how many, and the 90 % interval of Clopper and Pearson: a dozen cases prove little, and say so."""
     marks = [bool(h) for h in hits]
     k, n = sum(marks), len(marks)
-    low = float(beta.ppf(0.05, k, n - k + 1)) if k > 0 else 0.0
-    high = float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0
-    return {
-        "hits": k,
-        "of": n,
-        "share": k / n if n else None,
-        "low": low if n else None,
-        "high": high if n else None,
-    }
+    if not n:
+        return {"hits": 0, "of": 0, "share": None, "low": None, "high": None}
+    low, high = binomtest(k, n).proportion_ci(0.90, method="exact")
+    return {"hits": k, "of": n, "share": k / n, "low": float(low), "high": float(high)}
 
 
 def single(scores: Sequence[Json], size: float | None = None) -> list[Json]:
@@ -74,7 +69,7 @@ def single(scores: Sequence[Json], size: float | None = None) -> list[Json]:
 
 
 def _bars(scores: Sequence[Json]) -> list[Json]:
-    """The issue's bars. met: yes, no, or open where there is no such case."""
+    """The bars of docs/figures.md. met: yes, no, or open where there is no such case."""
     strangers = [s for s in scores if s["unknown_ok"] is not None]
     pairs = [s for s in scores if len(s["truth"]) == 2]
     bars = [

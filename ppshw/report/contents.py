@@ -42,11 +42,12 @@ PLAIN, IN_TWO = ("verification_compensated",), ("verification_base", "verificati
 
 @dataclass(frozen=True)
 class Source:
-    """A file that the report was made from, for its provenance."""
+    """A file that the report was made from, for its provenance; visits: of a recording."""
 
     name: str
     sha256: str
     about: str
+    visits: int = 0
     meta: dict[str, str] = field(default_factory=dict)
     devices: tuple[dict[str, str], ...] = ()
 
@@ -96,6 +97,8 @@ def read_folder(folder: Path) -> Contents:
     recordings: dict[str, Recording] = {}
     paths = {stem: _recording_path(folder, stem, calibration) for stem in RECORDINGS}
     unasked = PLAIN if any(paths[stem] for stem in IN_TWO) else IN_TWO
+    if paths["verification_extended"] and paths["verification_compensated"] and not paths["verification_base"]:
+        unasked = ("verification_base",)  # that is what is called compensated then
     for stem, shows in RECORDINGS.items():
         path = paths[stem]
         if path is None and stem in unasked:
@@ -152,7 +155,7 @@ def _is_empty(path: Path) -> bool:
 def _recording_source(path: Path, recording: Recording) -> Source:
     about = many(len(recording), "visit")
     if not is_sqlite(path):
-        return Source(path.name, recording.sha256, about)
+        return Source(path.name, recording.sha256, about, len(recording))
     with RecordingFile.open(path, readonly=True) as file:
         meta, events = file.meta(), file.events()
     devices: dict[str, dict[str, str]] = {}
@@ -161,7 +164,7 @@ def _recording_source(path: Path, recording: Recording) -> Source:
             devices |= {str(d.get("device")): {k: str(v) for k, v in d.items()} for d in data.get("devices", [])}
     if name := meta.get("campaign_name"):
         about += f" of campaign '{name}'"
-    return Source(path.name, recording.sha256, about, meta, tuple(devices.values()))
+    return Source(path.name, recording.sha256, about, len(recording), meta, tuple(devices.values()))
 
 
 def _result(folder: Path, sources: list[Source]) -> tuple[dict[str, Any], str, dict[str, Any] | None]:

@@ -12,6 +12,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.evaluation import by_visit, figures, residuals
 from ppshw.identification.joint import SET_ASIDE, believed_to
+from ppshw.quantities import many
 from ppshw.recording import Recording
 from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
@@ -76,11 +77,17 @@ def compute(contents: Contents) -> Numbers:
         if recording := contents.recordings.get(stem):
             try:
                 errors[case] = point_errors(recording, machine, point, frame, where)
-                seen = int(np.isfinite(errors[case]).all(axis=1).sum())
-                accuracy[case] = {**figures(errors[case]), "visits": seen}
+                figures(errors[case])
             except RecordingError as why:
                 errors.pop(case, None)
                 missing.append(Missing(f"{stem}: {point}", str(why), RECORDINGS[stem]))
+    poses = {case: _poses(contents.recordings[stem]) for stem, case in CASES.items() if case in errors}
+    errors, compared = _of_the_same_poses(errors, poses)
+    notes += [*_broken_off(contents), *compared]
+    for case in CASES.values():
+        if case in errors:
+            seen = int(np.isfinite(errors[case]).all(axis=1).sum())
+            accuracy[case] = {**figures(errors[case]), "visits": seen}
         accuracy[case] = _against_result(contents, case, accuracy.get(case, {}), notes)
     returns, again = None, None
     if recording := contents.recordings.get("repeatability"):
@@ -93,19 +100,40 @@ def compute(contents: Contents) -> Numbers:
     notes += _doubts(contents)
     if contents.concealed is not None and (erring := of_the_instrument(contents.concealed)):
         notes.append(erring)
-    poses = {case: _poses(contents.recordings[stem]) for stem, case in CASES.items() if case in errors}
-    if len(set(poses.values())) > 1:
-        notes.append("The verification recordings were not made at the same wanted poses: compare them roughly.")
     campaign = contents.recordings.get("campaign")
     after = [poses[case] for case in ("extended", "compensated") if case in poses][:1]
-    unseen = campaign is not None and bool(after) and not after[0] & _poses(campaign)
+    unseen = campaign is not None and bool(after) and not set(after[0]) & set(_poses(campaign))
     accuracy = {case: row for case, row in accuracy.items() if row}
     return Numbers(errors, accuracy, unseen, returns, again, tuple(notes), tuple(missing))
 
 
-def _poses(recording: Recording) -> frozenset[tuple[float, ...]]:
-    """The wanted poses, to 1 µm and 1 µrad."""
-    return frozenset(tuple(pose) for pose in np.round(wanted_joints(recording), 6).tolist())
+def _poses(recording: Recording) -> list[tuple[float, ...]]:
+    """The wanted pose of every visit, to 1 µm and 1 µrad."""
+    return [tuple(pose) for pose in np.round(wanted_joints(recording), 6).tolist()]
+
+
+def _broken_off(contents: Contents) -> list[str]:
+    """Which recordings hold fewer visits than their campaign."""
+    planned = [(source, int(source.meta.get("visits_planned", "0"))) for source in contents.sources]
+    return [f"{s.name}: {s.visits} of {many(of, 'planned visit')} were measured." for s, of in planned if s.visits < of]
+
+
+def _of_the_same_poses(
+    errors: dict[str, Array], poses: dict[str, list[tuple[float, ...]]]
+) -> tuple[dict[str, Array], list[str]]:
+    """The errors (N, 3) of each case at those poses that every case has, where one has no others, and what is to be
+    said of the comparison: what was broken off is better or worse by the poses that it lacks."""
+    sets = {case: frozenset(each) for case, each in poses.items()}
+    if len(set(sets.values())) < 2:
+        return errors, []
+    common = frozenset.intersection(*sets.values())
+    if not common or common not in sets.values():
+        return errors, ["The verification recordings were not made at the same wanted poses: compare them roughly."]
+    kept = {case: each[[pose in common for pose in poses[case]]] for case, each in errors.items()}
+    if not all(np.isfinite(each).all(axis=1).any() for each in kept.values()):
+        return errors, ["The verification recordings were not made at the same wanted poses: compare them roughly."]
+    most = many(max(map(len, sets.values())), "wanted pose")
+    return kept, [f"Compared are the {len(common)} of {most} that every verification recording has."]
 
 
 def _against_result(contents: Contents, case: str, mine: dict[str, float], notes: list[str]) -> dict[str, float]:

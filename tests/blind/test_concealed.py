@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from ppshw.cli import main
-from ppshw.errors import BadInput
+from ppshw.errors import BadInput, SealBroken
 from ppshw.identification import identify
 from ppshw.machine import load_machine
 from ppshw.prove import EFFECTS, SIZES, Spec, deck, removed_deck, run_prove
-from ppshw.prove.score import SealBroken, bound, judge, least_left, open_seal, score_case, score_of
+from ppshw.prove.score import bound, judge, least_left, open_seal, score_case, score_of
 from ppshw.prove.table import half_power, share, summarise
 from ppshw.recording import load_recording
 from ppshw.terms.shapes import Column, Context
@@ -625,6 +625,9 @@ def test_shares_come_with_the_interval_that_few_cases_deserve() -> None:
     none = share([False] * 20)
     assert none["high"] == pytest.approx(1 - 0.05 ** (1 / 20))  # 13.9 %: the rule of three at 95 %
     assert (none["low"], none["share"]) == (0.0, 0.0)
+    some = share([True] * 3 + [False] * 7)
+    assert (some["low"], some["high"]) == pytest.approx((0.087264, 0.606624), abs=1e-6)  # Clopper & Pearson's, 90 %
+    assert share([True] * 20)["low"] == pytest.approx(0.05 ** (1 / 20))
     assert share([])["share"] is None
 
 

@@ -1,4 +1,4 @@
-"""Joints that move the end effector in fewer than six ways: the point's position is put right, what stays is said."""
+"""An end effector of fewer than six degrees of freedom: the point's position is put right, what stays is said."""
 
 from __future__ import annotations
 

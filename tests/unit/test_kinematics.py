@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ppshw.kinematics import (
-    error_jacobian,
     error_transforms,
     frames,
     joint_jacobian,
     point_jacobian,
     point_positions,
+    tip_jacobian,
     tip_poses,
 )
 from ppshw.machine import Joint, Machine, TrackerModel, load_machine
@@ -132,6 +132,11 @@ def test_small_errors_make_the_matrix_of_equation_7() -> None:
     a, b, c = 1e-5, -2e-5, 3e-5
     e = error_transforms(np.array([1e-3, 2e-3, 3e-3, a, b, c]))
     assert e == pytest.approx(np.array([[1, -c, b, 1e-3], [c, 1, -a, 2e-3], [-b, a, 1, 3e-3], [0, 0, 0, 1]]), abs=2e-9)
+
+
+def error_jacobian(machine: Machine, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Eq. (12): (N, 6, 6(n+1))."""
+    return tip_jacobian(frames(machine, q), tip_poses(machine, q)).reshape(-1, 6, 6 * (machine.n + 1))
 
 
 # Jacobians ---------------------------------------------------------------------------------------------------------

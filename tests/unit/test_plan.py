@@ -78,6 +78,7 @@ def test_a_pose_asked_for_twice_in_a_row_is_left_in_between(tmp_path: Path, pps:
         assert visit.via is not None
         assert np.all((np.array(visit.via) >= lower) & (np.array(visit.via) <= upper))
         assert abs(visit.via[3] - 0.3) > 1e-4
+        assert np.all(np.abs(np.array(visit.via) - visit.setpoints) <= 0.08 * (upper - lower) + 1e-12)
 
 
 def test_home_is_zero_where_the_limits_allow_it(tmp_path: Path, pps: Machine) -> None:

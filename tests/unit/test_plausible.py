@@ -14,7 +14,7 @@ from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import evaluate, figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import doubts, misread, rests_off, without_gross_errors
+from ppshw.identification.plausible import doubts, is_another_machine, misread, rests_off, without_gross_errors
 from ppshw.machine import Machine, load_machine
 from ppshw.machine import doubts as doubts_of_file
 from ppshw.recording import Recording, load_recording
@@ -52,6 +52,17 @@ def test_a_gross_reading_spoils_nothing_but_its_own_visit(measured: tuple[Machin
     calibration = Calibration.of(found, recording, "joint")
     assert calibration.provenance["visits_down_weighted"] == 2
     assert figures(residuals(recording, calibration))["p98_6_mm"] < 0.2  # of the readings as they should have been
+
+
+@pytest.mark.parametrize(("metres", "another"), [(0.09, False), (0.11, True)])
+def test_from_a_tenth_of_a_metre_on_it_is_another_machine(metres: float, another: bool, tmp_path: Path) -> None:
+    """Half a metre of travel: more than a tenth of it, too."""
+    (tmp_path / "m.yaml").write_text(MACHINE, encoding="utf-8")
+    machine, plant = load_machine(tmp_path / "m.yaml"), Plant.from_file(tmp_path / "m.yaml", seed=2)
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 90, np.random.default_rng(4), "mixed", loads=4)
+    recording = load_recording(csv, machine)
+    here_and_there = np.where(np.arange(90) % 2, metres, -metres)[:, None, None] * [0.0, 0.0, 1.0]
+    assert is_another_machine(machine, replace(recording, points=recording.points + here_and_there)) is another
 
 
 def test_visits_that_no_machine_explains_are_told_by_their_number_from_one(

@@ -205,7 +205,9 @@ def test_it_comes_back_from_a_file_and_the_command_counts_its_visits(
     np.testing.assert_array_equal(moves(again, rig.later), moves(rig, rig.later))
     given = [rig.first.source, "--machine", str(rig.machine.file), "--calibration", str(tmp_path / "cal.json")]
     assert main(["evaluate", *given]) == 0
-    assert "not at 0 visits" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "corrected without a name over " in said
+    assert "where there were no data" not in said
     assert main(["evaluate", *given, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unexplained"][0]["visits_without"] == 0
     monkeypatch.setattr("ppshw.recording.load_recording", lambda *_: far_away(rig.later))
