@@ -36,7 +36,7 @@ layers: env
 # One linear-algebra thread per test process: processes with two threads each would fight over two cores. Three of them,
 # since many tests wait for machine time: 557 s on two cores, with two processes 708.
 unit: env
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 3 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 4 --dist worksteal
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -54,7 +54,7 @@ ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, wh
 # zero that jumped.) How much less it must leave for the given sign to be wrong, and by how many standard errors; and
 # for two signs to be told apart at all.
 ASKED, IN_A_ROW, REVERSED, SURE, TOLD = 400, 15, 1.04, 3.0, 1.01
-FIRST_ROUNDS = 3  # of the estimates that ask for the sign first; where they say it is wrong, others go on to the end
+FIRST_ROUNDS = 3  # of the estimates that ask for the sign first; where it may be wrong, others go on to the end
 FEWEST = 10  # visits of which a standard error says something
 FARTHEST = 0.9  # share of the visits, the others counting as these
 TO, PLURAL = " … ", {"has": "have", "is": "are"}
@@ -119,10 +119,11 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     sound, _ = without_gross_errors(machine, recording)
     if not _has(recording, MOMENTS) or not _loaded(recording, MOMENTS, LOADED_NM):
         return recording, found
-    _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r))
+    forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
+    first = _roughly if forces is None else _plainly  # the moments' sign goes by the forces' unless it is told apart
+    _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, first))
     if sure:  # other weights than those that bend the machine may look so too
         _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, fitted))
-    forces = next((m for m in found if m.column == _named(FORCES) and m.factor == -1.0), None)
     if forces is None and sure:
         alone, less = min(((k, _turned(machine, sound, k)) for k in MOMENTS), key=lambda pair: pair[1])
         columns, after = ((alone,), less) if TOLD * less < other else (MOMENTS, float(other))
@@ -418,6 +419,10 @@ def _wrench_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mist
 
 
 def _plainly(machine: Machine, sound: Recording, recording: Recording) -> Estimate:
+    return estimate(joint_model(machine, sound), recording)
+
+
+def _roughly(machine: Machine, sound: Recording, recording: Recording) -> Estimate:
     return estimate(joint_model(machine, sound), recording, rounds=FIRST_ROUNDS)
 
 
