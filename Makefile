@@ -33,8 +33,8 @@ types: env
 	$(BIN)/mypy
 layers: env
 	$(BIN)/lint-imports
-# One linear-algebra thread per test process: processes with two threads each would fight over two cores. Three of them,
-# since many tests wait for machine time: 557 s on two cores, with two processes 708.
+# One linear-algebra thread per test process: processes with two threads each would fight over two cores. Four of them,
+# since many tests wait for machine time: 553 s on two cores, with three processes 604.
 unit: env
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 4 --dist worksteal
 
