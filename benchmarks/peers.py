@@ -24,6 +24,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import ROOT, flow, number, remarks, seconds, span, table, write
 from ppshw.calibration import Calibration
@@ -190,18 +191,11 @@ def _geometry(machine: Machine) -> dict[str, Any]:
     return {"origins": origins, "reflector": reflector, "urdf": _urdf(machine, reflector)}
 
 
-def _rpy(rotation: np.ndarray) -> np.ndarray:
-    """(3, 3) → URDF's angles of it (3,) [rad], pitch within ±π/2."""
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    pitch = -np.arcsin(np.clip(rotation[2, 0], -1.0, 1.0))
-    return np.array([roll, pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
-
-
 def _urdf(machine: Machine, reflector: np.ndarray) -> str:
     """URDF text: the same joints, and the reflector as a frame `ee_link`."""
 
     def origin(pose: np.ndarray) -> str:
-        xyz, rpy = pose[:3, 3], _rpy(pose[:3, :3])
+        xyz, rpy = pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")  # URDF's roll, pitch, yaw
         return f'<origin xyz="{" ".join(f"{v:.17g}" for v in xyz)}" rpy="{" ".join(f"{v:.17g}" for v in rpy)}"/>'
 
     lines = [f'<robot name="{machine.name}">', '<link name="l0"/>']
