@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, put, say
 from ppshw.cli.arguments import machine_of
+from ppshw.cli.site import require_a_system_that_locks
 from ppshw.errors import BadInput
 from ppshw.progress import Bar
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 
 def simulate(a: argparse.Namespace) -> None:
+    require_a_system_that_locks()
     from simulators.scaled_clock import SPEEDS
     from simulators.serve import is_ours, serve
 
@@ -47,6 +49,7 @@ def _refuse_what_no_site_moves(machine: Machine) -> None:
 
 
 def demo(a: argparse.Namespace) -> None:
+    require_a_system_that_locks()
     from ppshw.demo import run_demo
 
     if a.conceal is not None:

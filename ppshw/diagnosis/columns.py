@@ -463,9 +463,9 @@ def _from_to(names: Sequence[str]) -> str:
 
 
 def _unlike_a_payload(recording: Recording, wrench: Array, g: Array) -> float:
-    """Share of the wrenches that no rigid payload under gravity explains: force and moment each count half. Where
-    labels tell no loads apart every visit may have one of its own: a force is its weight then, a moment across it."""
-    if len(set(recording.load)) > 1:
+    """Share of the wrenches that no rigid payload under gravity explains: force and moment each count half. Without
+    labels every visit may have one of its own: a force is its weight then, a moment across it."""
+    if any(recording.load):
         held = payloads(wrench, recording.load, g)
         held[:, 0] = np.maximum(held[:, 0], 0.0)  # nothing weighs less than nothing
         beside = wrench - weighs(held, g)

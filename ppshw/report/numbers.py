@@ -114,26 +114,27 @@ def _poses(recording: Recording) -> list[tuple[float, ...]]:
 
 def _broken_off(contents: Contents) -> list[str]:
     """Which recordings hold fewer visits than their campaign."""
-    planned = [(source, int(source.meta.get("visits_planned", "0"))) for source in contents.sources]
+    said = [(source, source.meta.get("visits_planned", "")) for source in contents.sources]
+    planned = [(source, int(number)) for source, number in said if number.isdecimal()]
     return [f"{s.name}: {s.visits} of {many(of, 'planned visit')} were measured." for s, of in planned if s.visits < of]
 
 
 def _of_the_same_poses(
     errors: dict[str, Array], poses: dict[str, list[tuple[float, ...]]]
 ) -> tuple[dict[str, Array], list[str]]:
-    """The errors (N, 3) of each case at those poses that every case has, where one has no others, and what is to be
-    said of the comparison: what was broken off is better or worse by the poses that it lacks."""
-    sets = {case: frozenset(each) for case, each in poses.items()}
-    if len(set(sets.values())) < 2:
+    """The errors (N, 3) of each case at those poses where every case has one, and what is to be said of the comparison:
+    what was broken off, or lost its beams, is better or worse by the poses that it lacks."""
+    seen = {case: np.isfinite(each).all(axis=1).tolist() for case, each in errors.items()}
+    sets = {case: {pose for pose, there in zip(poses[case], seen[case], strict=True) if there} for case in errors}
+    every: set[tuple[float, ...]] = set().union(*sets.values())
+    common = every.intersection(*sets.values())
+    if common == every:
         return errors, []
-    common = frozenset.intersection(*sets.values())
-    if not common or common not in sets.values():
+    if not common:
         return errors, ["The verification recordings were not made at the same wanted poses: compare them roughly."]
     kept = {case: each[[pose in common for pose in poses[case]]] for case, each in errors.items()}
-    if not all(np.isfinite(each).all(axis=1).any() for each in kept.values()):
-        return errors, ["The verification recordings were not made at the same wanted poses: compare them roughly."]
-    most = many(max(map(len, sets.values())), "wanted pose")
-    return kept, [f"Compared are the {len(common)} of {most} that every verification recording has."]
+    all_of = many(len(every), "wanted pose")
+    return kept, [f"Compared are the {len(common)} of {all_of} at which every verification recording has a reading."]
 
 
 def _against_result(contents: Contents, case: str, mine: dict[str, float], notes: list[str]) -> dict[str, float]:

@@ -262,6 +262,17 @@ def test_channels_of_the_force_sensor_that_are_exchanged(
     assert np.array_equal(mended.wrench, recording.wrench)
 
 
+def test_moments_that_are_exchanged_show_under_one_label_too(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    label = max(set(recording.load), key=lambda load: np.abs(recording.wrench[np.array(recording.load) == load]).max())
+    one = recording.subset(np.array(recording.load) == label)
+    wrench = one.wrench.copy()
+    wrench[:, [3, 4]] = one.wrench[:, [4, 3]]
+    mended, found = plain_mistakes(machine, replace(one, wrench=wrench))
+    assert [m.column for m in found] == ["Mx and My"]
+    assert np.array_equal(mended.wrench, one.wrench)
+
+
 @pytest.mark.parametrize("zero", [0.0, 0.5])
 def test_what_a_sensor_reads_with_nothing_on_it_says_nothing_of_units(
     case: tuple[Machine, Recording], zero: float

@@ -546,13 +546,32 @@ def test_a_verification_that_was_broken_off_is_compared_at_the_poses_that_it_has
     assert {case: len(errors) for case, errors in found.errors.items()} == {"uncompensated": 6, "compensated": 6}
     assert found.accuracy["uncompensated"]["visits"] == 6
     assert found.accuracy["uncompensated"]["max_mm"] == pytest.approx(1e3 * np.linalg.norm(of_all[:6], axis=1).max())
-    assert "Compared are the 6 of 40 wanted poses that every verification recording has." in found.notes
+    said = "Compared are the {} of 40 wanted poses at which every verification recording has a reading."
+    assert said.format(6) in found.notes
+    first, others = _taken_out(copy / "verification_nominal.db")  # which skipped one of the six
+    (copy / "verification_nominal.csv").write_text("\n".join(map(",".join, [first, *others[1:]])) + "\n")
+    assert said.format(5) in compute(read_folder(copy)).notes
+
+
+def test_a_verification_that_lost_its_beams_is_compared_where_it_has_readings(copy: Path) -> None:
+    header, rows = _taken_out(copy / "verification_compensated.db")
+    for row in rows[6:]:
+        for k, name in enumerate(header):
+            if name.startswith("treatment_"):
+                row[k] = ""
+    (copy / "verification_compensated.csv").write_text("\n".join(map(",".join, [header, *rows])) + "\n")
+    found = compute(read_folder(copy))
+    assert found.accuracy["uncompensated"]["visits"] == found.accuracy["compensated"]["visits"] == 6
+    assert any(note.startswith("Compared are the 6 of 40 wanted poses") for note in found.notes)
 
 
 def test_how_many_of_its_visits_a_recording_has_is_said(copy: Path) -> None:
     with closing(sqlite3.connect(copy / "verification_compensated.db")) as db, db:
         db.execute("INSERT OR REPLACE INTO meta VALUES ('visits_planned', '52')")
     assert "verification_compensated.db: 40 of 52 planned visits were measured." in compute(read_folder(copy)).notes
+    with closing(sqlite3.connect(copy / "verification_compensated.db")) as db, db:
+        db.execute("INSERT OR REPLACE INTO meta VALUES ('visits_planned', 'many')")
+    assert not any("planned" in note for note in compute(read_folder(copy)).notes)
 
 
 def test_beside_an_extended_calibration_the_compensated_run_is_the_base_calibration_s(copy: Path) -> None:
