@@ -124,8 +124,10 @@ def _of_the_same_poses(
 ) -> tuple[dict[str, Array], list[str]]:
     """The errors (N, 3) of each case at those poses where every case has one, and what is to be said of the comparison:
     what was broken off, or lost its beams, is better or worse by the poses that it lacks."""
-    seen = {case: np.isfinite(each).all(axis=1).tolist() for case, each in errors.items()}
-    sets = {case: {pose for pose, there in zip(poses[case], seen[case], strict=True) if there} for case in errors}
+    sets = {
+        case: {pose for pose, error in zip(poses[case], each, strict=True) if np.isfinite(error).all()}
+        for case, each in errors.items()
+    }
     every: set[tuple[float, ...]] = set().union(*sets.values())
     common = every.intersection(*sets.values())
     if common == every:
