@@ -389,9 +389,9 @@ def _force_sensor(top: Section) -> Callable[[Clock, Ports], ForceSensor] | None:
     options: dict[str, Any] = {"baudrate": s.integer("baud", low=300)} if "baud" in s else {}
     options |= {k: s.integer(k, low=1) for k in ("samples", "sinc_length") if k in s and protocol == "bota"}
     options |= {k: s.integer(k, low=1) for k in ("samples",) if k in s and protocol == "gsv8"}
-    numbers = () if protocol == "bota" else ("force_limit", "moment_limit", "rate")
-    options |= {k: s.number(k, low=1e-9) for k in numbers if k in s}
-    options |= {k: s.number(k, low=1e-9, high=LONGEST_ANSWER_S) for k in ("timeout_s",) if k in s}
+    highest = {"timeout_s": LONGEST_ANSWER_S}
+    highest |= {} if protocol == "bota" else dict.fromkeys(("force_limit", "moment_limit", "rate"), np.inf)
+    options |= {k: s.number(k, low=1e-9, high=high) for k, high in highest.items() if k in s}
     options |= {"zero": s.vector("zero", 6).tolist()} if "zero" in s else {}
     if "matrix" in s:
         flat = s.vector("matrix", 36)

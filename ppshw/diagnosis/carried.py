@@ -20,6 +20,7 @@ from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
+from ppshw.identification.plausible import wrench_never_changes
 from ppshw.recording import Recording
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -125,8 +126,7 @@ def _left_over(tried: Tried, found: list[Found]) -> list[_Left]:
 def nobody_knows_loads(recording: Recording) -> bool:
     """Whether neither labels nor a force sensor say which load it was: what changed with it looks like a matter of
     time then, and blocks between its visits are predicted better by what the next ones are not."""
-    unread = not recording.has_wrench or bool((recording.wrench == recording.wrench[0]).all())
-    return unread and not any(recording.load)
+    return wrench_never_changes(recording) and not any(recording.load)
 
 
 def a_matter_of_time(c: Context, names: tuple[str, ...]) -> bool:

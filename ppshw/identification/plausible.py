@@ -189,8 +189,8 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
 
 def reads_the_same(recording: Recording) -> bool:
     """Whether a force sensor is read that says the same of every visit, and not nothing."""
-    read = recording.wrench
-    return len(read) > 1 and bool(recording.has_wrench and read.any() and (read == read[0]).all())
+    measured = recording.has_wrench and recording.wrench.any()
+    return len(recording) > 1 and bool(measured) and wrench_never_changes(recording)
 
 
 def _hardly_loaded(recording: Recording) -> str:
@@ -272,7 +272,12 @@ def loads_not_measured(recording: Recording) -> str:
     """The first three labels of loads that changed without a word of the wrench: no columns, or a sensor that always
     read the same. Empty where it did say."""
     loads = set(recording.load) - {""}
-    return "" if len(loads) < 2 or (recording.wrench != recording.wrench[0]).any() else _some(loads)
+    return _some(loads) if len(loads) > 1 and wrench_never_changes(recording) else ""
+
+
+def wrench_never_changes(recording: Recording) -> bool:
+    """Whether nothing tells of a change of the wrench: no columns, or the same in them at every visit."""
+    return bool((recording.wrench == recording.wrench[:1]).all())
 
 
 def noisier_than_stated(machine: Machine, rms_mm: float, what: str) -> str:

@@ -278,6 +278,22 @@ def test_what_goes_on_with_time_alone_is_carried_and_held_at_its_end(rig: Rig) -
     assert "no axis is driven by it" in with_it.effects[0].why
 
 
+def test_where_nothing_says_which_load_it_was_no_course_in_time_is_carried(rig: Rig) -> None:
+    """What changed with loads looks like one, and the next visits were worse with it (a reviewer's)."""
+    r = rig.first
+    still, unnamed = np.tile(r.wrench[0], (len(r), 1)), ("",) * len(r)
+    for unsaid, carries in (
+        (replace(r, load=unnamed, wrench=0.0 * r.wrench, has_wrench=False), False),
+        (replace(r, load=unnamed, wrench=still), False),  # a sensor that does not measure
+        (replace(r, load=unnamed), True),
+        (replace(r, wrench=0.0 * r.wrench, has_wrench=False), True),
+    ):
+        space, found, _ = wandering(rig)
+        space.recording = unsaid
+        carried = carry(space, rig.tried, found)
+        assert bool(carried.corrections) == carries
+
+
 def test_what_is_not_carried_of_it_is_the_base_models_on_average(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ppshw.diagnosis.carried.NAMELESS_GAIN", 0.0)
     space, found, _ = wandering(rig)
