@@ -292,12 +292,15 @@ def _against_physics(space: Workspace, tried: Tried, f: Found) -> bool:
 
 
 def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:
-    """Whether something without a name goes on in the same component of the same frame, half as large or larger and no
-    ten times more quiet: then a name there stands for what nobody knows."""
+    """Whether something without a name goes on in the same component of the same frame, or over a temperature beside a
+    drift, half as large or larger and no ten times more quiet: then a name there stands for what nobody knows. A
+    temperature's course is one over time, too: beside growth that had no name a drift was its rest (two recordings of
+    the fortieth author, growth taken out; in none of seven authors' was a drift right there)."""
     where = tried.candidates[f.best]
     for g in others:
         there = tried.candidates[g.best]
         large = g.size > RIDDLE * f.size and g.first > SHADOW * f.first
-        if g.name[0] == "nameless" and same_place(where, there) and large:
+        warm = where.effect == "drift" and any("temp_" in name for name in there.covariates)
+        if g.name[0] == "nameless" and (warm or same_place(where, there)) and large:
             return True
     return False

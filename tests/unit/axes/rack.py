@@ -41,7 +41,7 @@ class Machine:
         for axis in self.axes:
             self.rack.add(kind(axis.node_id, self.clock, self.rack.network, **drive))
         virtual = {"interface": "virtual", "channel": self.rack.channel}
-        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.2, answer_timeout=answer_timeout)
+        bus = BusConfig(can=virtual, poll_period=1.0, sdo_timeout=0.4, answer_timeout=answer_timeout)
         self.group = Cia402Group(self.axes, bus, self.clock)
 
     @property

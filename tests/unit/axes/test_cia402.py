@@ -649,7 +649,7 @@ def test_check_tells_a_running_heartbeat(machine: Machine) -> None:
 def test_a_drive_that_is_not_there_is_named(build: Callable[..., Machine]) -> None:
     m = build()
     m.drive("lift").go_silent()
-    with pytest.raises(HardwareTimeout, match=r"lift: no SDO answer on vendor 0x1018:01 within 0\.2 s"):
+    with pytest.raises(HardwareTimeout, match=r"lift: no SDO answer on vendor 0x1018:01 within 0\.4 s"):
         m.group.check()
 
 
@@ -658,7 +658,7 @@ def test_a_look_at_the_axes_has_a_row_for_each_whatever_is_wrong_with_it(build: 
     m.drive("slide").go_silent()
     slide, lift, slew = m.group.look()
     assert (slide.device, slide.model, lift.device, slew.device) == ("slide", "", "lift", "slew")
-    assert slide.problem == "no SDO answer on vendor 0x1018:01 within 0.2 s"
+    assert slide.problem == "no SDO answer on vendor 0x1018:01 within 0.4 s"
     assert lift.problem == ""
     assert slew.problem == "WRONG DEVICE: product code is 0x50505301, expected 0x77"
     assert m.drive("slew").power is Power.SWITCH_ON_DISABLED

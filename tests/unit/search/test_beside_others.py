@@ -63,6 +63,23 @@ def test_a_riddle_ten_times_more_quiet_costs_no_name(space: Workspace, share: fl
     assert not standing._beside_a_riddle(tried, named, [riddle])
 
 
+@pytest.mark.parametrize(("size", "beside"), [(4e-5, True), (2e-5, False)])
+def test_a_drift_beside_a_riddle_over_a_temperature_is_none(space: Workspace, size: float, beside: bool) -> None:
+    """The temperature's course is one over time; of what goes with a load or a place it says nothing."""
+    riddles = named(space, "nameless")
+    over = next(k for k in riddles if any(name.startswith("temp_") for name in k.covariates) and k.frame)
+    other = next(k for k in riddles if k.covariates == (f"q_{NAME}",))
+    elsewhere = next(k for k in named(space, "creep") if k.frame not in (over.frame, None))
+    tried = Tried(space, [named(space, "drift")[0], elsewhere, over, other], 5e-5)
+    drift, creep = Found(0, ("drift", None), 0.0, 160.0, size=5e-5), Found(1, ("creep", elsewhere.joint), 0.0, 160.0)
+    creep.size = drift.size
+    drift.first = creep.first = 160.0
+    warm, cold = (Found(j, ("nameless", None), 0.0, 90.0, size=size, first=90.0) for j in (2, 3))
+    assert standing._beside_a_riddle(tried, drift, [warm]) is beside
+    assert not standing._beside_a_riddle(tried, drift, [cold])
+    assert not standing._beside_a_riddle(tried, creep, [warm])
+
+
 @pytest.mark.parametrize(
     ("rival", "own", "with_all", "stands"),
     [
