@@ -45,11 +45,27 @@ def numbers(words: Sequence[str], count: int, what: str) -> np.ndarray[Any, np.d
     return values
 
 
+def joint_values(words: Sequence[str], machine: Any, what: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(n,) within the joints' limits [m, rad]."""
+    values = numbers(words, machine.n, what)
+    for q, joint, low, high in zip(values, machine.joints, *machine.limits(), strict=True):
+        if not low <= q <= high:
+            raise BadInput(f"{what} {joint.name}: {q:g} {joint.unit} is outside its limits {low:g} … {high:g}")
+    return values
+
+
 _BETWEEN_NUMBERS = str.maketrans(",;[]()", "      ")
 
 
 def pairs(words: Sequence[str] | None, names: Sequence[str], what: str, of: str) -> dict[str, float]:
     """NAME=NUMBER words; names: those of a joint, say."""
+    return {name: float(values[0]) for name, values in named_numbers(words, names, what, of, "NUMBER").items()}
+
+
+def named_numbers(
+    words: Sequence[str] | None, names: Sequence[str], what: str, of: str, expected: str
+) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    """Words of a name and as many numbers as `expected` has, with commas between: R1=HZ,V,DISTANCE."""
     out = {}
     for word in words or ():
         name, _, text = word.strip().rpartition("=") if "=" in word else (word.strip(), "", "")
@@ -58,8 +74,8 @@ def pairs(words: Sequence[str] | None, names: Sequence[str], what: str, of: str)
         if name in out:
             raise BadInput(f"{what} {name}: given twice, expected one value")
         if not text:
-            raise BadInput(f"{what} {name}: no value, expected {name}=NUMBER")
-        out[name] = float(numbers([text], 1, f"{what} {name}")[0])
+            raise BadInput(f"{what} {name}: no value, expected {name}={expected}")
+        out[name] = numbers([text], len(expected.split(",")), f"{what} {name}")
     return out
 
 

@@ -14,7 +14,7 @@ from ppshw.cli.planning import plan
 from ppshw.cli.recordings import export, import_
 from ppshw.cli.setpoints import NO_LOAD, compensate, move
 from ppshw.cli.simulated import demo, simulate
-from ppshw.cli.site import check, run
+from ppshw.cli.site import ANGLES, check, run, station
 from ppshw.cli.studies import prove, study
 
 
@@ -85,6 +85,20 @@ def _simulation(add: Add) -> None:
 def _campaigns(add: Add) -> None:
     p = add("check", check, "connect to each device of a site and say who and how it is; moves nothing")
     p.add_argument("--site", required=True, metavar="S", help="site file")
+
+    p = add("station", station, "where the tracker stands, from what it read of three or more reflectors")
+    _machine(p)
+    p.add_argument("--joints", nargs="+", required=True, metavar="Q1 … QN", help="joint values there, as check prints "
+                   "them [m, rad]")  # fmt: skip
+    p.add_argument(
+        "--read",
+        nargs="+",
+        action="extend",
+        required=True,
+        metavar="R1=HZ,V,DISTANCE",
+        help="of every reflector: horizontal circle, vertical circle from the zenith, slope distance [m]",
+    )
+    p.add_argument("--angles", choices=tuple(ANGLES), default="gon", help="unit of the circles (default: gon)")
 
     p = add("plan", plan, "expand a campaign, check it against limits, say how many visits and how long; or design one")
     p.add_argument("campaign", nargs="?", help="campaign script (a file, or the name of one that comes with ppshw)")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ppshw.cli.answers import say, warn
-from ppshw.cli.arguments import machine_of, numbers, pairs
+from ppshw.cli.arguments import joint_values, machine_of, numbers, pairs
 from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
@@ -30,10 +30,7 @@ def _circumstances(a: argparse.Namespace, calibration: Any) -> Any:
         if sign not in (-1.0, 1.0):
             raise BadInput(f"--approach {joint}: {sign:g}, expected +1 or -1")
         approach[machine.joint_names.index(joint)] = int(sign)
-    start = None if a.start is None else numbers(a.start, machine.n, "--from")
-    for q, joint, low, high in zip(() if start is None else start, machine.joints, *machine.limits(), strict=False):
-        if not low <= q <= high:
-            raise BadInput(f"--from {joint.name}: {q:g} {joint.unit} is outside its limits {low:g} … {high:g}")
+    start = None if a.start is None else joint_values(a.start, machine, "--from")
     around = Around(temperatures=_temperatures(a, calibration))
     if a.lay_before is not None and a.loaded_for is None:
         raise BadInput("--lay-before: has no meaning without --loaded-for")

@@ -1,8 +1,9 @@
-"""The bench side, at a site: run, check."""
+"""The bench side, at a site: run, check, station."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from shutil import get_terminal_size
 from typing import Any
 
 from ppshw.cli.answers import new_recording, say, warn
+from ppshw.cli.arguments import joint_values, machine_of, named_numbers
 from ppshw.cli.setpoints import check_point, run_up, why_it_stays
 from ppshw.errors import BadInput, HardwareError
 from ppshw.progress import Bar, folded
@@ -19,6 +21,8 @@ from ppshw.quantities import many
 from ppshw.whole_file import file_hash
 
 NARROWEST = 16  # letters of a column that is wrapped
+ANGLES = {"gon": math.pi / 200, "deg": math.pi / 180, "rad": 1.0}
+FARTHEST = 1000.0  # m that a slope distance may be, before it looks like millimetres
 
 
 def require_a_system_that_locks() -> None:
@@ -123,6 +127,44 @@ def check(a: argparse.Namespace) -> None:
     if wrong := [d for d in devices if d.problem]:
         more = f" ({len(wrong) - 1} more of {len(devices)} devices have a problem)" if wrong[1:] else ""
         raise HardwareError(wrong[0].device, wrong[0].problem + more)
+
+
+def station(a: argparse.Namespace) -> None:
+    """station: what the site file's `tracker.pose` needs."""
+    from scipy.spatial.transform import Rotation
+
+    from campaigns.stationing import station as stationed
+    from drivers.geocom import to_xyz
+
+    machine = machine_of(a)
+    q = joint_values(a.joints, machine, "--joints")
+    read = {}
+    for name, values in named_numbers(a.read, list(machine.targets), "--read", "target", "HZ,V,DISTANCE").items():
+        hz, v, distance = float(values[0]) * ANGLES[a.angles], float(values[1]) * ANGLES[a.angles], float(values[2])
+        if not 0.0 < v < math.pi:
+            raise BadInput(
+                f"--read {name}: vertical circle {values[1]:g} {a.angles}, expected 0 … {math.pi / ANGLES[a.angles]:g} "
+                f"from the zenith, in the first face (--angles is {a.angles})"
+            )
+        if not 0.0 < distance < FARTHEST:
+            raise BadInput(f"--read {name}: slope distance {distance:g} m, expected 0 … {FARTHEST:g} m")
+        read[name] = to_xyz(hz, v, distance)
+    found = stationed(machine, q, read)
+    xyz, rpy = found.pose[:3, 3], Rotation.from_matrix(found.pose[:3, :3]).as_euler("xyz")
+    tilt = math.degrees(found.tilt)
+    warn("station", found.warnings)
+    answer = {
+        "pose": {"xyz": xyz.tolist(), "rpy": rpy.tolist()},
+        "left_mm": {name: 1e3 * left for name, left in found.left.items()}, "tilt_deg": tilt,
+        "warnings": found.warnings,
+    }  # fmt: skip
+    at, turned = (", ".join(f"{x:.4f}" for x in each) for each in (xyz, rpy))
+    lines = [
+        f"pose: {{xyz: [{at}], rpy: [{turned}]}}",
+        f"left: {', '.join(f'{name} {1e3 * left:.1f} mm' for name, left in found.left.items())}; the standing axis "
+        f"{tilt:.2f}° from upright",
+    ]
+    say(a, answer, folded(lines))
 
 
 def _columns(rows: Sequence[Sequence[str]], room: int) -> str:

@@ -34,7 +34,7 @@ from tests.contract.desk import MACHINE, ROOT, Said, contents, ppshw, refused
 
 PROGRAM = Path(sys.executable).with_name("ppshw")
 DATA = Path(os.environ.get("PPSHW_DATA", ROOT.parent / "shared" / "data"))
-COMMANDS = ["demo", "simulate", "check", "plan", "run", "import", "export", "identify", "evaluate", "compensate",
+COMMANDS = ["demo", "simulate", "check", "station", "plan", "run", "import", "export", "identify", "evaluate", "compensate",
             "move", "report", "diagnose"]  # fmt: skip
 FIGURES = {"rms_mm", "median_mm", "p95_mm", "p98_6_mm", "max_mm"}
 
