@@ -10,6 +10,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.geocom import to_xyz
 from ppshw.errors import BadInput
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine
@@ -35,17 +36,17 @@ class Station:
     warnings: list[str]
 
 
-def station(machine: Machine, q: Array, read: Mapping[str, Array]) -> Station:
+def station(machine: Machine, q: Array, read: Mapping[str, tuple[float, float, float]]) -> Station:
     """The least-squares place of the tracker (Kabsch 1976), as if the machine were ideal at joint values q (n,).
 
-    read  reflector of the machine file → (3,) where it was seen in the measuring frame [m]
+    read  reflector of the machine file → horizontal circle, vertical circle from the zenith [rad], slope distance [m]
     Raises BadInput for fewer than three, for reflectors on a line, and for readings that do not fit them.
     """
     names = list(read)
     if len(names) < FEWEST:
         raise BadInput(f"readings of {len(names)} reflectors, expected {FEWEST} or more")
     ideal = point_positions(machine, q[None], np.array([machine.targets[name] for name in names]))[0]
-    seen = np.array([read[name] for name in names])
+    seen = np.array([to_xyz(*read[name]) for name in names])
     for points, whose in ((ideal, "the machine file"), (seen, "the readings")):
         off_the_line = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points))
         if off_the_line < NARROWEST:

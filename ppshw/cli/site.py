@@ -134,7 +134,6 @@ def station(a: argparse.Namespace) -> None:
     from scipy.spatial.transform import Rotation
 
     from campaigns.stationing import station as stationed
-    from drivers.geocom import to_xyz
 
     machine = machine_of(a)
     q = joint_values(a.joints, machine, "--joints")
@@ -148,7 +147,7 @@ def station(a: argparse.Namespace) -> None:
             )
         if not 0.0 < distance < FARTHEST:
             raise BadInput(f"--read {name}: slope distance {distance:g} m, expected 0 … {FARTHEST:g} m")
-        read[name] = to_xyz(hz, v, distance)
+        read[name] = (hz, v, distance)
     found = stationed(machine, q, read)
     xyz, rpy = found.pose[:3, 3], Rotation.from_matrix(found.pose[:3, :3]).as_euler("xyz")
     tilt = math.degrees(found.tilt)
