@@ -32,6 +32,7 @@ from ppshw.terms.elastic import Compliance
 from ppshw.terms.geometric import Geometric
 from ppshw.terms.own_motion import OwnMotion
 from ppshw.terms.target import TargetOffset
+from ppshw.transforms import spans_a_frame
 from ppshw.whole_file import write_text
 
 Array = NDArray[np.float64]
@@ -134,20 +135,39 @@ class Calibration:
                 "where the reflectors sit was estimated: what the end effector is off at every pose alike, of which "
                 "std_mm holds a part, is known no better than it was built"
             )
-        if len(self.machine.targets) == 1:
-            said.append(
-                f"{next(iter(self.machine.targets))} is its only reflector: how the end effector turns about it no "
-                "reading says, so that std_mm of points away from it rests on what machines are like"
+        return said + self._reflectors_wanting()
+
+    def _reflectors_wanting(self) -> list[str]:
+        """What the reflectors that were read cannot say."""
+        targets = self.machine.targets
+        read = [name for name in self.provenance.get("reflectors_read", targets) if name in targets]
+        said = []
+        if read and not spans_a_frame(np.array([targets[name] for name in read])):
+            only = "its only reflector" if len(targets) == 1 else "the only reflector that was read"
+            which = (
+                f"the reflectors that were read ({', '.join(read)}) lie on a line"
+                if read[1:]
+                else f"{read[0]} is {only}"
             )
+            said.append(
+                f"{which}: how the end effector turns about it no reading says, so that std_mm of points away from it "
+                "rests on what machines are like"
+            )
+        if not self.machine.tracker.targets_known and (never := [name for name in targets if name not in read]):
+            said.append(f"{', '.join(never)} {'was' if len(never) == 1 else 'were'} never read: taken to sit as built")
         return said
 
     def point(self, name: str) -> Array:
         """(3,) a named point in the end-effector frame: a target where it was identified to be, another one where the
         machine file has it. Raises MachineFileError where there is no such point."""
+        target = self.target_index(name)
+        return self.machine.point(name) if target is None else np.asarray(self.model.targets(self.theta)[target])
+
+    def target_index(self, name: str) -> int | None:
+        """Which of the machine's targets a named point is; None where it is another point."""
         machine = self.machine
-        if name in machine.points or name not in machine.targets:
-            return machine.point(name)
-        return np.asarray(self.model.targets(self.theta)[list(machine.targets).index(name)])
+        known = name not in machine.points and name in machine.targets
+        return list(machine.targets).index(name) if known else None
 
     def other_sides(self, approach: NDArray[Any]) -> list[str]:
         """A line for each joint that comes, by the sign of `approach` (n,), from another side than it was ever measured
@@ -230,6 +250,7 @@ class Calibration:
             "ppshw": __version__,
             "date": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         }
+        provenance["reflectors_read"] = [name for k, name in enumerate(machine.targets) if used.seen[:, k].any()]
         if loads := loads_not_measured(recording):
             provenance["loads_not_measured"] = loads
         if off := rests_off(machine, recording):

@@ -211,7 +211,8 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
     points, extra_points = _points(cells, machine, lost_at_all)
     wrench, has_wrench = _wrench(cells)
     copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
-    points[copies] = math.nan
+    for each in (points, *extra_points.values()):
+        each[copies] = math.nan
     temperatures, spikes = _temperatures(cells)
     unknown = np.full(len(cells), math.nan)
     return Recording(

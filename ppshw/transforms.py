@@ -104,3 +104,11 @@ def fit_rigid(points: Array, measured: Array) -> Array:
     flip[..., 2] = sign
     rotation = (u * flip[..., None, :]) @ vt
     return transform(rotation, (centre_m - np.einsum("...ij,...kj->...ki", rotation, centre_p))[..., 0, :])
+
+
+def spans_a_frame(points: Array) -> bool:
+    """Whether points (T, 3) are three or more that are not on a line (within a hundredth of their extent)."""
+    if len(points) < 3:
+        return False
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] > 0.01 * extent[0])

@@ -46,6 +46,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
     from ppshw.identification.joint import believable
+    from ppshw.identification.noise import pose_rank
     from ppshw.recording import load_recording
 
     machine = machine_of(a)
@@ -71,7 +72,7 @@ def identify(a: argparse.Namespace) -> None:
         "method": a.method,
         "fit": fit,
         "pose_sigma_mm": (spread[:3] * 1e3).tolist(),
-        "pose_sigma_mrad": (spread[3:] * 1e3).tolist(),
+        "pose_sigma_mrad": (spread[3:] * 1e3).tolist() if pose_rank(recording.seen) == 6 else None,
         "instrument_sigma_mm": calibration.noise.instrument * 1e3,
         "noise": "end effector" if calibration.noise.parts is None else "joints",
         "outliers": len(set_aside),
@@ -148,13 +149,15 @@ def _identified(answer: Mapping[str, Any], not_told_apart: Sequence[str]) -> lis
     from ppshw.recording import listed
 
     aside = [v - 1 for v in answer["set_aside"]]
+    turned, claimed = "", " (as the machine file has it: fewer than three reflectors)"
+    if answer["pose_sigma_mrad"] is not None:
+        turned, claimed = f", {np.linalg.norm(answer['pose_sigma_mrad']):.3f} mrad", ""
     lines = [
         f"{answer['out']}: {answer['parameters']} parameters from {many(answer['visits'], 'visit')} "
         f"({many(answer['readings'], 'reading')}) in {answer['seconds']:.1f} s",
         f"  residual of the fit  {answer['fit']['rms_mm']:.3f} mm rms, {answer['fit']['p98_6_mm']:.3f} mm at 98.6 %",
-        f"  pose repeatability   {np.linalg.norm(answer['pose_sigma_mm']):.3f} mm, "
-        f"{np.linalg.norm(answer['pose_sigma_mrad']):.3f} mrad (1 sigma, 3-D)",
-        f"  instrument           {answer['instrument_sigma_mm']:.3f} mm per coordinate",
+        f"  pose repeatability   {np.linalg.norm(answer['pose_sigma_mm']):.3f} mm{turned} (1 sigma, 3-D)",
+        f"  instrument           {answer['instrument_sigma_mm']:.3f} mm per coordinate{claimed}",
         f"  visits set aside     {len(aside)}{': ' if aside else ''}{listed(aside)}",
     ]
     if (how := NOT_BENT.get(answer["bent_by"])) is not None:

@@ -178,7 +178,7 @@ class Compensator:
         self._refuse_correction(q[0], nominal)
         uncorrected = self._effected(replace(now, q=nominal), past, where).positions[0, 0]
         ideal = point_positions(self.machine, start, where)
-        variance = self._variance(replace(now, q=q[0]), past, where)
+        variance = self._variance(replace(now, q=q[0]), past, point)
         verdicts = () if self.known is None else tuple(self.known.verdicts(now, past))
         error = uncorrected - ideal[0, 0]
         with_it, without = float(np.linalg.norm(left[0, :3])), float(np.linalg.norm(error))
@@ -252,15 +252,18 @@ class Compensator:
         positions = np.einsum("nij,pj->npi", tip[:, :3, :3], where) + tip[:, None, :3, 3]
         return _Effected(base, wrenches, errors, chain, positions)
 
-    def _variance(self, now: Moment, past: Past, where: Array) -> Array:
-        """(3,) of the point's position [m²]: how unsure the base model and the effects are together, and what effects
-        may do by what is not known.
+    def _variance(self, now: Moment, past: Past, point: str) -> Array:
+        """(3,) of a point's position [m²]: how unsure the base model and the effects are together, and what effects
+        may do by what is not known; of a target also how unsure is where it sits, if the file leaves that open.
 
         Were an effect larger, the base model would be fitted with the less: of what it has for the effect's part only
         what is beyond that counts. docs/derivations.md (6.2).
         """
         situation = Situation(now.q[None], now.payload[None])
-        design = self.calibration.model.linearise(situation, self.calibration.theta, where).design[0, 0]
+        calibration, where = self.calibration, self.calibration.point(point)[None]
+        target = calibration.target_index(point)
+        asked_of = where if target is None else None
+        design = calibration.model.linearise(situation, calibration.theta, asked_of).design[0, target or 0]
         variance = np.einsum("ip,pq,iq->i", design, self.calibration.covariance, design)
         if self.known is not None:
             here = self._effected(now, past, where)

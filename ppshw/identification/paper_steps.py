@@ -122,7 +122,7 @@ def differences(values: Array) -> Array:
 
     Least squares over these equals least squares over all pairs W, W₀ of eq. (18) at this configuration.
     """
-    return np.asarray((values - values.mean(axis=0)).reshape(-1, values.shape[-1]))
+    return np.asarray((values - values.mean(axis=0)).reshape(values.shape[0] * values.shape[1], values.shape[-1]))
 
 
 def pair_places(terms: Sequence[PaperTerm], sweeps: Sweeps) -> list[Configuration]:

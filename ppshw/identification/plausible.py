@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.identification.start import align, to_base
-from ppshw.kinematics import frames, point_positions, tip_poses
+from ppshw.kinematics import frames, joint_jacobian, point_positions, tip_poses
 from ppshw.machine import RADIUS_986, Machine
 from ppshw.machine import doubts as doubts_of_file
 from ppshw.quantities import distance, many
@@ -43,6 +43,7 @@ BLOCK = 4096
 # A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that; and
 # a joint is hardly ever gone past where it came to, at more than half of the visits. Ours.
 ELSEWHERE, BY_A_ROW, AGAINST = 0.01, 0.2, 0.9
+ENOUGH_TO_SAY = 500  # visits that say how far a joint moves reflectors
 AT_REST_M = 5e-5  # that a servo at rest may move the reflectors, of a beam's 0.5 mm
 
 
@@ -231,15 +232,16 @@ def rests_off(machine: Machine, recording: Recording) -> dict[str, str]:
     """Per joint that stands off where it was sent to, by what moves the reflectors by 50 µm and more: how far, at half
     of the visits. Of one that stands elsewhere by a good part of its travel `doubts` says more."""
     out = {}
-    ideal = frames(machine, recording.q[:1])[0]
-    reflectors = point_positions(machine, recording.q[:1], machine.target_array)[0]
+    some = np.unique(np.linspace(0, len(recording) - 1, ENOUGH_TO_SAY).astype(np.int64))
+    q = recording.q[some]
+    moves = joint_jacobian(machine, frames(machine, q), point_positions(machine, q, machine.target_array))
+    levers = np.linalg.norm(moves, axis=2).max(axis=1)  # (N, n) of the reflector that a joint moves farthest
     for k, joint in enumerate(machine.joints):
         sent = recording.q_cmd[:, k]
         low, middle, high = np.quantile(recording.q[:, k] - sent, (0.25, 0.5, 0.75))
-        arm = reflectors.mean(axis=0) - ideal[k + 1, :3, 3]
-        lever = 1.0 if joint.prismatic else float(np.linalg.norm(np.cross(ideal[k + 1, :3, :3] @ joint.axis, arm)))
-        far = float(np.median(np.abs(recording.q[:, k] - sent)))
-        if far * lever > AT_REST_M and far <= ELSEWHERE * float(np.ptp(sent)):
+        off = np.abs(recording.q[:, k] - sent)
+        far = float(np.median(off))
+        if np.median(off[some] * levers[:, k]) > AT_REST_M and far <= ELSEWHERE * float(np.ptp(sent)):
             unit = "mm" if joint.prismatic else "mrad"
             out[joint.name] = f"{1e3 * middle:+.3f} {unit} (half of the visits {1e3 * low:+.3f} to {1e3 * high:+.3f})"
     return out

@@ -13,7 +13,7 @@ from ppshw.identification.start import align, to_base
 from ppshw.kinematics import tip_poses
 from ppshw.machine import Machine
 from ppshw.recording import Recording
-from ppshw.transforms import fit_rigid, inverse, rotation_vector, skew
+from ppshw.transforms import fit_rigid, inverse, rotation_vector, skew, spans_a_frame
 
 Array = NDArray[np.float64]
 
@@ -41,13 +41,19 @@ class PoseErrors:
 
 
 def pose_errors(machine: Machine, recording: Recording) -> PoseErrors:
-    """E_T = (A_T^i)⁻¹ A_T^r, A_T^r by a rigid fit of the targets. Raises IdentificationFailed without a full pose."""
+    """E_T = (A_T^i)⁻¹ A_T^r, A_T^r by a rigid fit of the targets. Raises IdentificationFailed without a full pose, and
+    where targets are to be found beside a tracker whose place is known: a rigid fit cannot tell their mean place from
+    what the machine does at every pose alike."""
     frame = machine.tracker.base
+    if frame is not None and not machine.tracker.targets_known:
+        raise IdentificationFailed(
+            f"{machine.file}: 'targets: estimate' beside a tracker whose place is known takes `--method joint`"
+        )
     if frame is None:
         frame, targets = align(machine, recording, targets_free=not machine.tracker.targets_known)
         machine = machine.with_targets(dict(zip(machine.targets, targets, strict=True)))
     seen = recording.seen
-    full = np.array([_is_frame(machine.target_array[row]) for row in seen])
+    full = np.array([spans_a_frame(machine.target_array[row]) for row in seen])
     if not full.any():
         raise IdentificationFailed(
             f"{recording.source}: no visit shows three targets that are not on a line, so there is no pose; "
@@ -71,11 +77,3 @@ def pose_errors(machine: Machine, recording: Recording) -> PoseErrors:
         levers = levers.reshape(-1, 6)
         spread += len(rows) / len(visits) * np.linalg.inv(levers.T @ levers)
     return PoseErrors(machine, frame, full, tips, errors, spread, math.sqrt(square / freedom))
-
-
-def _is_frame(targets: Array) -> bool:
-    """Three or more targets that are not on a line (within a hundredth of their extent)."""
-    if len(targets) < 3:
-        return False
-    extent = np.linalg.svd(targets - targets.mean(axis=0), compute_uv=False)
-    return bool(extent[1] > 0.01 * extent[0])

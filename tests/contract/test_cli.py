@@ -34,8 +34,8 @@ from tests.contract.desk import MACHINE, ROOT, Said, contents, ppshw, refused
 
 PROGRAM = Path(sys.executable).with_name("ppshw")
 DATA = Path(os.environ.get("PPSHW_DATA", ROOT.parent / "shared" / "data"))
-COMMANDS = ["demo", "simulate", "check", "station", "plan", "run", "import", "export", "identify", "evaluate", "compensate",
-            "move", "report", "diagnose"]  # fmt: skip
+COMMANDS = ["demo", "simulate", "check", "station", "plan", "run", "import", "export", "identify", "evaluate",
+            "compensate", "move", "report", "diagnose"]  # fmt: skip
 FIGURES = {"rms_mm", "median_mm", "p95_mm", "p98_6_mm", "max_mm"}
 
 
@@ -186,6 +186,33 @@ def test_identify_and_evaluate_answer_the_same_for_both_forms(desk: Path) -> Non
     assert found["csv"] == found["db"]
     assert found["csv"]["rms_mm"] < 0.1
     assert found["csv"]["nominal"]["rms_mm"] > 1.0
+
+
+def test_of_a_single_reflector_that_was_read_no_turns_are_said(desk: Path) -> None:
+    """Though the machine file has three."""
+    table = list(csv.DictReader((desk / "good.csv").open(encoding="utf-8")))
+    names = [name for name in table[0] if name[:2] not in ("P2", "P3")]
+    with (desk / "one.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, names, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(table)
+    words = ["identify", desk / "one.csv", "--machine", desk / "machine.yaml", "--out", desk / "one.json"]
+    said = ppshw(*words)
+    assert said.code == 0
+    assert "mrad" not in said.out
+    assert "(as the machine file has it: fewer than three reflectors)" in " ".join(said.out.split())
+    assert json.loads(ppshw(*words, "--json").out)["pose_sigma_mrad"] is None
+    given = [
+        "--machine",
+        desk / "machine.yaml",
+        "--calibration",
+        desk / "one.json",
+        "--joints",
+        "0.1 0.2",
+        "--wrench",
+        "0 0 -120 0 30 0",
+    ]
+    assert "P1 is the only reflector that was read: how the end effector turns" in ppshw("compensate", *given).err
 
 
 def test_evaluate_says_which_visits_lie_outside_what_was_identified(desk: Path) -> None:

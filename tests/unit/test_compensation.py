@@ -126,8 +126,29 @@ def test_a_target_is_brought_where_it_is_wanted_though_the_file_has_it_elsewhere
     found = compensator.for_pose(wanted, PATIENT, "P1", near=POSE)
     real = plant.true_points(found.corrected, PATIENT, names=["P1"])["P1"][0]
     assert np.linalg.norm(real - wanted[:3, 3]) < 3e-4
+    # how unsure its place is goes with how unsure the end effector is: both together are what the reflector was read to
+    assert np.linalg.norm(real - wanted[:3, 3]) / 3 < np.linalg.norm(found.std) < 1e-4
     with pytest.raises(MachineFileError, match="no point named 'P9'"):
         compensator.for_pose(wanted, PATIENT, "P9", near=POSE)
+
+
+def test_a_target_that_was_never_read_is_as_unsure_as_it_was_built(tmp_path: Path) -> None:
+    file = yaml.safe_load((MACHINES / "pps.yaml").read_text(encoding="utf-8"))
+    file["tracker"]["targets"] = "estimate"
+    for k, at in enumerate(file["tip"]["targets"].values()):
+        at[k] += 2e-3
+    (tmp_path / "machine.yaml").write_text(yaml.safe_dump(file), encoding="utf-8")
+    machine = load_machine(tmp_path / "machine.yaml")
+    plant = Plant.from_file(MACHINES / "pps.yaml", seed=11)
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 60, np.random.default_rng(1), "mixed", visits_per_load=5)
+    recording = load_recording(csv, machine)
+    recording.points[:, 2] = np.nan
+    calibration = Calibration.of(identify(machine, recording), recording, "joint")
+    assert "P3 was never read: taken to sit as built" in calibration.doubts()
+    assert any(said.startswith("the reflectors that were read (P1, P2) lie on a line") for said in calibration.doubts())
+    compensator = Compensator(calibration)
+    read, never = (np.linalg.norm(compensator.for_joints(POSE, PATIENT, name).std) for name in ("P1", "P3"))
+    assert never > 5e-4 > 5 * read
 
 
 def test_the_predicted_error_is_the_plant_s(couch: Compensator) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ppshw.calibration import Calibration
 from ppshw.errors import IdentificationFailed, RecordingError
@@ -229,6 +230,21 @@ def test_an_axis_that_rests_off_where_it_was_sent_is_said_of_it(measured: tuple[
     assert any(f"{name} rested -0.300 mm" in line for line in calibration.doubts())
     sent[:, k] -= 3e-4 - 4e-5  # a tenth of what the beam allows, and less
     assert rests_off(machine, replace(recording, q_cmd=sent)) == {}
+
+
+def test_how_far_an_axis_that_rests_off_moves_is_said_by_all_reflectors_and_poses(
+    measured: tuple[Machine, Recording],
+) -> None:
+    """Reflectors all round the last axis have their mean on it (a reviewer's flange: 0.25 mm unsaid)."""
+    machine, recording = measured
+    last = machine.joint_names[-1]
+    end = np.linalg.inv(machine.tip_in_link)  # the last link frame in the end effector's
+    axis = end[:3, :3] @ machine.joints[-1].axis
+    across = np.cross(axis, np.roll(axis, 1))
+    turns = Rotation.from_rotvec(np.array([[0.0], [2.0], [4.0]]) * np.pi / 3 * axis)
+    around = replace(machine, targets=dict(zip(machine.targets, end[:3, 3] + 0.25 * turns.apply(across), strict=True)))
+    sent = recording.q_cmd - np.eye(machine.n)[-1] * 1e-3
+    assert rests_off(around, replace(recording, q_cmd=sent)).keys() == {last}
 
 
 def test_a_joint_that_always_came_from_one_side_is_said_where_it_comes_from_the_other(

@@ -47,6 +47,14 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_a_copied_row_counts_once_at_points_of_interest_too(tmp_path: Path) -> None:
+    head = "q_rail,q_turn,P1_x,P1_y,P1_z,treatment_x,treatment_y,treatment_z"
+    row = "0.1,0.2,1.25,2.125,3.5,4.25,5.125,6.5"
+    found = read(tmp_path, head, row, "0.3,0.4,4,5,6,7,8,9", row)
+    assert found.copies == (2,)
+    assert np.isfinite(found.extra_points["treatment"]).all(axis=1).tolist() == [True, True, False]
+
+
 def test_optional_columns_that_are_misspelt_are_asked_about(tmp_path: Path) -> None:
     """Nobody was told that approach_trun, an optional column, was no column."""
     recording = read(
