@@ -12,6 +12,7 @@ from ppshw.diagnosis.kinship import never_turned, of_its_kind
 from ppshw.diagnosis.library import LOADS, Candidate
 from ppshw.diagnosis.library.sampled import within
 from ppshw.machine import WRENCH_COMPONENTS
+from ppshw.terms.shapes.covariates import speaks_of, whose
 
 # Beside a large effect a small one is more likely what the large one's form leaves of it than another effect.
 SAME_EFFECT = 0.5
@@ -33,9 +34,7 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         other = tried.candidates[f.best]
         if candidate.effect == other.effect == "target_moved" and candidate.covariate == other.covariate:
             return f  # a reflector that moves now and again
-        same_joint = other.joint is not None and (
-            candidate.joint == other.joint or f"_{other.joint}" in candidate.covariate
-        )
+        same_joint = other.joint is not None and other.joint in (candidate.joint, whose(candidate.covariate))
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate or at_once(tried, candidate, other)
         alike = candidate.effect == other.effect and candidate.covariate == other.covariate
@@ -90,7 +89,7 @@ def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     """What a function without a name leaves: something in the same component, over the same columns, by a load where it
     goes with one, and over time where it goes with a temperature, lags, or a reflector wanders."""
     loads = any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in other.covariates)
-    over = any(candidate.covariate in name for name in other.covariates)
+    over = any(speaks_of(name, candidate.covariate) for name in other.covariates)
     slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
     slow = slow or any(column.function == "target_shift" and "plumb" not in column.args for column in other.columns)
     by_load = loads and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)

@@ -25,6 +25,9 @@ def loads_came(c: Context) -> Array:
     return c.once(("loads came",), lambda: changed_at(c.recording.load, c.hours, c.recording.load_age_s))
 
 
+OF_A_JOINT = ("q_", "move_", "way_", "stay_", "pace_", "approach_")
+
+
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
@@ -89,6 +92,30 @@ def named_column(c: Context, name: str) -> Array:
         tau, late = name[5:].split("_", 1)
         return lagged(named_column(c, late), c.hours, float(tau))
     return np.asarray(r.wrench[:, WRENCH_COMPONENTS.index(name)])
+
+
+def bare(name: str) -> str:
+    """The column that a lagged one, or one of the visit before, is made of."""
+    while name.startswith(("previous_", "late_")):
+        name = name[9:] if name.startswith("previous_") else name[5:].split("_", 1)[1]
+    return name
+
+
+def whose(name: str) -> str | None:
+    """The joint, frame or thermometer that a column is of; None where it is of none."""
+    name = bare(name)
+    if name.startswith(OF_A_JOINT):
+        return name.split("_", 1)[1]
+    if name.startswith("on_"):
+        return name[3:].rsplit("_", 1)[0]
+    return name[5:-2] if name.startswith("temp_") else None
+
+
+def speaks_of(name: str, column: str) -> bool:
+    """Whether a column is another one, or is made of it, or is that load on a frame."""
+    plain = bare(name)
+    on_a_frame = plain.startswith("on_") and plain.rsplit("_", 1)[1] == column
+    return column in (name, plain) or on_a_frame or (plain, column) == ("former_load", "load")
 
 
 def columns_at(c: Context, names: tuple[str, ...]) -> Array:
