@@ -80,7 +80,6 @@ class Foresight:
     seen: tuple[Sight, ...]
     absent: tuple[Name, ...]
     unit: float
-    assumed: str = ASSUMED
     never: frozenset[Name] = frozenset()
     noisy: frozenset[Name] = frozenset()
 

@@ -77,6 +77,7 @@ COARSE = 0.05  # share by which whole drive units may change a speed
 MOTION_S = 0.1  # s between two looks that tell an axis in motion from one that stands
 OBEY_S = 0.1  # s of machine time that a drive may take to act on a controlword; most take 1 to 10 ms (a guess)
 LONGEST_WATCH_S = 5.0  # that is listened for another master's heartbeat
+TO_ENABLE, TO_RESET = 5.0, 2.0  # s of machine time until a drive is enabled, and out of a fault
 FOLLOWING_S = 0.1  # s outside a following-error window until it is an error, where the site gives a window alone
 
 
@@ -340,9 +341,9 @@ class Cia402Axis:
 
     # state machine
 
-    def enable(self, timeout: float = 5.0) -> None:
+    def enable(self) -> None:
         """Mode 1 and OPERATION ENABLED, step by step. A drive in FAULT stays there: see reset_fault()."""
-        deadline = self._bus.clock.now() + timeout
+        deadline = self._bus.clock.now() + TO_ENABLE
         self._select_profile_position(deadline)
         last = None
         while True:
@@ -352,7 +353,7 @@ class Cia402Axis:
             if state is State.OPERATION_ENABLED:
                 return
             if self._bus.clock.now() > deadline:
-                raise HardwareTimeout(self.name, f"still {state} {timeout:g} s after enable")
+                raise HardwareTimeout(self.name, f"still {state} {TO_ENABLE:g} s after enable")
             if self._bus.stopped:
                 raise Stopped(f"{self.name}: the axes were quick-stopped while it was enabled")
             if state in NEXT_COMMAND:
@@ -392,21 +393,21 @@ class Cia402Axis:
         """Power off the motor; the drive leaves OPERATION ENABLED at once."""
         self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
 
-    def reset_fault(self, timeout: float = 2.0) -> None:
+    def reset_fault(self) -> None:
         """Acknowledge a fault. Never enables: no bit that could is set in either controlword."""
         if self.state() in FAULTY:
             self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
-            self._wait_while(State.FAULT_REACTION_ACTIVE, timeout, "after its fault")  # a reset would be lost meanwhile
+            self._wait_while(State.FAULT_REACTION_ACTIVE, "after its fault")  # a reset would be lost meanwhile
             self.sdo.write(CONTROLWORD, FAULT_RESET)
-            self._wait_while(State.FAULT, timeout, "after fault reset")
+            self._wait_while(State.FAULT, "after fault reset")
             self.sdo.write(CONTROLWORD, DISABLE_VOLTAGE)
         self._emergency, self._restarted, self.snapshot, self.target = None, False, None, None
 
-    def _wait_while(self, bad: State, timeout: float, since: str) -> None:
-        deadline = self._bus.clock.now() + timeout
+    def _wait_while(self, bad: State, since: str) -> None:
+        deadline = self._bus.clock.now() + TO_RESET
         while self.state() is bad:
             if self._bus.clock.now() > deadline:
-                raise HardwareTimeout(self.name, f"still {bad} {timeout:g} s {since}")
+                raise HardwareTimeout(self.name, f"still {bad} {TO_RESET:g} s {since}")
             self._bus.clock.sleep(self._bus.config.sync_period)
 
     # process data

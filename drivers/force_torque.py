@@ -60,10 +60,10 @@ class SerialStream:
         with line(self.name, self._where):
             self.port.write(data)
 
-    def read_until(self, expected: bytes, timeout_s: float | None = None) -> bytes:
+    def read_until(self, expected: bytes) -> bytes:
         """Up to and including `expected`, or what came until the timeout."""
         with line(self.name, self._where):
-            self.port.timeout = self.timeout_s if timeout_s is None else timeout_s
+            self.port.timeout = self.timeout_s
             return bytes(self.port.read_until(expected))
 
     def read(self, size: int) -> bytes:

@@ -54,7 +54,6 @@ class GsvParser:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self.dropped = 0
 
     def feed(self, data: bytes) -> list[GsvFrame]:
         buffer = self._buffer
@@ -63,7 +62,6 @@ class GsvParser:
         while True:
             start = buffer.find(PREFIX)
             skip = start if start >= 0 else len(buffer)
-            self.dropped += skip
             del buffer[:skip]
             if len(buffer) < 2:
                 return frames
@@ -77,7 +75,6 @@ class GsvParser:
                 del buffer[:length]
             else:
                 del buffer[:1]
-                self.dropped += 1
 
 
 class Gsv8Sensor:

@@ -18,6 +18,7 @@ from serial.serialutil import SerialBase, SerialTimeoutException
 from ppshw.errors import HardwareTimeout, LineLost
 
 Port = str | SerialBase
+QUIET_S, LONGEST_S = 0.05, 1.0  # real seconds without a byte that end a backlog; no backlog lasts longer
 LINE_ERRORS = (serial.SerialException, OSError, TermiosError)
 
 
@@ -55,13 +56,12 @@ def line(device: str, port: Port) -> Iterator[None]:
         raise LineLost(device, f"lost the port {port_name(port)}: {error}") from error
 
 
-def drain(port: serial.Serial, quiet_s: float = 0.05, limit_s: float = 1.0) -> int:
-    """Read and forget until nothing has come for `quiet_s` real seconds; returns how many bytes that were."""
-    saved, port.timeout = port.timeout, quiet_s
-    deadline, dropped = time.monotonic() + limit_s, 0
+def drain(port: serial.Serial) -> None:
+    """Read and forget until nothing has come for QUIET_S, LONGEST_S at most."""
+    saved, port.timeout = port.timeout, QUIET_S
+    deadline = time.monotonic() + LONGEST_S
     try:
-        while (chunk := port.read(256)) and time.monotonic() < deadline:
-            dropped += len(chunk)
+        while port.read(256) and time.monotonic() < deadline:
+            pass
     finally:
         port.timeout = saved
-    return dropped

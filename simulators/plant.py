@@ -64,7 +64,6 @@ class Plant:
         claimed = truth.DEFAULT_REPEATABILITY if chain.repeatability is None else chain.repeatability
         self.repeatability = claimed if repeatability is None else repeatability
         self.position_sigma = chain.position_sigma
-        self.rated_payload_kg = truth.rated_payload(chain)
         self.truth = truth.draw_truth(chain, seed, self.repeatability)
         mounting = np.random.default_rng([seed, 1])
         self.measuring_in_base = _tracker_place(mounting) if chain.measuring is None else chain.measuring

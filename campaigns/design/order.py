@@ -38,13 +38,10 @@ class Rounds:
     bound: float
 
 
-def shortest_rounds(
-    machine: Machine, reference: Array, q: Array, sizes: Sequence[int], seed: int, iterations: int | None = None
-) -> Rounds:
+def shortest_rounds(machine: Machine, reference: Array, q: Array, sizes: Sequence[int], seed: int) -> Rounds:
     """Visits q (N, n) of one load as rounds from `reference` (n,) of these sizes (in all N), the last one last."""
     between, out = travel(machine.joints, q[:, None], q[None]), travel(machine.joints, q, reference)
-    iterations = iterations or max(LEAST_ITERATIONS, ITERATIONS_PER_VISIT * len(q))
-    found = _solve(between, out, sizes, seed, iterations)
+    found = _solve(between, out, sizes, seed, max(LEAST_ITERATIONS, ITERATIONS_PER_VISIT * len(q)))
     found = _both_ways(found, q, reference)
     last = next(k for k, r in enumerate(found) if len(r) == sizes[-1])
     found.append(found.pop(last))

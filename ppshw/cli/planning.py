@@ -49,10 +49,10 @@ def plan(a: argparse.Namespace) -> None:
         *lines,
     ]
     if a.visibility or (a.campaign is not None and len(found.visits) <= _FORESEEN):
-        from campaigns.foresight import foresee
+        from campaigns.foresight import ASSUMED, foresee
 
         foresight = foresee(found)
-        answer["visibility"], answer["assumed"] = foresight.rows, foresight.assumed
+        answer["visibility"], answer["assumed"] = foresight.rows, ASSUMED
         lines += foresight.warnings() + (foresight.table() if a.visibility else [])
     text = folded(lines)
     if a.list:

@@ -323,7 +323,7 @@ class Tried:
         """The best candidate of the name at this index, for the evidence (C,) of all."""
         return int(np.argmax(np.where(self.name_of == name, evidence + self.log_share, -np.inf)))
 
-    def null(self, residual: Array, rng: np.random.Generator, observed: float = -np.inf, draws: int = DRAWS) -> Array:
+    def null(self, residual: Array, rng: np.random.Generator, observed: float = -np.inf) -> Array:
         """The greatest log evidence of any name under random signs of whole visits: (draws,), or the first of them
         where these tell already that nothing like what was observed comes from nothing.
 
@@ -334,7 +334,7 @@ class Tried:
         freedom = 3 * space.recording.seen[space.fit].sum(axis=1)
         size = (residual**2).sum(axis=1) / freedom
         residual = residual * np.sqrt(np.minimum(1.0, MOST_OF_NOISE / np.maximum(size, 1e-30)))[:, None]
-        signs = rng.choice(np.array([-1.0, 1.0]), size=(draws, len(residual)))
+        signs = rng.choice(np.array([-1.0, 1.0]), size=(DRAWS, len(residual)))
         few = self.greatest(signs[:FEW, :, None] * residual)
         if p_value(observed, few) < PLAIN:
             return few

@@ -49,6 +49,7 @@ CAUTION_ELASTIC = 20.0
 KNOWN_TO, A_STEP = (5e-6, 10e-6, 20e-6, 40e-6), 1.0
 MOVED, ONE_MOVED = (6e-5, 2e-4, 1e-3), 3.0
 A_SCALE, NO_SCALE = 3e-5, 1e-12  # of the instrument: stretches what is between three reflectors alike
+FOLDS, BLOCK = 4, 15  # of visits that are held out in turn
 NOTHING = 1e-8  # squared length of a direction that takes up less than this share of any column
 # Machined guides and bearings err slowly along their travel. A joint whose finest waves (four to seven of them over the
 # travel) are so many times the median joint's has something there that is no geometry: it is not to be absorbed. Nor
@@ -304,11 +305,11 @@ def caution_of(model: Model, strengths: Array) -> Array:
     return out
 
 
-def folds(count: int, number: int = 4, length: int = 15) -> list[Mask]:
-    """Held-out visits of each fold: blocks of `length` visits in time, dealt in turn (shorter in short recordings)."""
-    length = max(1, min(length, count // (3 * number)))
-    which = (np.arange(count) // length) % number
-    return [which == k for k in range(number)]
+def folds(count: int) -> list[Mask]:
+    """Held-out visits of each of FOLDS: blocks of BLOCK visits in time, dealt in turn (shorter in short recordings)."""
+    length = max(1, min(BLOCK, count // (3 * FOLDS)))
+    which = (np.arange(count) // length) % FOLDS
+    return [which == k for k in range(FOLDS)]
 
 
 def prepare(

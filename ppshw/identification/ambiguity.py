@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 # Visits that the question is asked of, at most, spread over the recording.
 ASKED = 1024
+MOST_SAID = 3  # parameters of which a person is told what to measure
 # Shares of a combination below this part of the largest are left out of the words.
 SMALL = 0.2
 # Information in one visit, in units of the prior's, from which on visits of that kind are worth their time.
@@ -159,14 +160,14 @@ def _explained(information: Array, kept: Index, columns: Index) -> tuple[Array, 
     return shares, across.T @ shares
 
 
-def summary(found: list[Ambiguity], most: int = 3) -> list[str]:
+def summary(found: list[Ambiguity]) -> list[str]:
     """For a person: how many, and a line each of what to measure for those that a visit would tell."""
     if not found:
         return ["the recording tells all of them apart"]
     open_ones = [a for a in found if a.visit is not None]
     always = len(found) - len(open_ones)
     said = f"{len(found)} parameters move the targets like others do; {always} of them at any visit"
-    return [said, *(a.sentence for a in open_ones[:most])]
+    return [said, *(a.sentence for a in open_ones[:MOST_SAID])]
 
 
 def _simplest(gain: Array) -> int | None:

@@ -51,8 +51,8 @@ class Moments:
     freedom: float
     own: Array
 
-    def with_prior(self, noise: Noise, visits: float = PRIOR_VISITS) -> Moments:
-        """As if some visits (at a few of the recording's poses) had shown `noise`."""
+    def with_prior(self, noise: Noise) -> Moments:
+        """As if PRIOR_VISITS (at a few of the recording's poses) had shown `noise`."""
         where = np.linspace(0, len(self.count) - 1, min(8, len(self.count))).astype(int)
         b, live = self.levers[where], self.live[where]
         second = noise.of_rows(b, live, np.ones(len(where))) * (live[:, :, None] & live[:, None, :])
@@ -60,8 +60,9 @@ class Moments:
         return Moments(
             np.concatenate([self.levers, b]), np.concatenate([self.live, live]),
             np.concatenate([self.second, second]),
-            np.concatenate([self.count, np.full(len(where), visits / len(where))]),
-            self.rest2 + visits * per_visit * noise.instrument**2, self.freedom + visits * per_visit, self.own,
+            np.concatenate([self.count, np.full(len(where), PRIOR_VISITS / len(where))]),
+            self.rest2 + PRIOR_VISITS * per_visit * noise.instrument**2,
+            self.freedom + PRIOR_VISITS * per_visit, self.own,
         )  # fmt: skip
 
     def likelihood(self, noise: Noise) -> float:

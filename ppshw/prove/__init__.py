@@ -76,7 +76,7 @@ class Spec:
         ]  # fmt: skip
 
 
-def deck(count: int, seed: int, visits: int = 600, fit: int = 450) -> list[Spec]:
+def deck(count: int, seed: int) -> list[Spec]:
     """The first `count` cards of an endless shuffled deck; the same for the same seed, however many are asked for.
 
     One round: every effect at every size, 20 nulls, 12 pairs and 8 unknown effects at the repeatability's size; a
@@ -90,7 +90,7 @@ def deck(count: int, seed: int, visits: int = 600, fit: int = 450) -> list[Spec]
         for k in rng.permutation(len(one)):
             machine = "arm6" if rng.random() < 0.25 else "pps"
             effect, size = one[k]
-            cards.append(Spec(1000 * seed + len(cards), machine, effect, size, visits, fit))
+            cards.append(Spec(1000 * seed + len(cards), machine, effect, size))
     return cards[:count]
 
 

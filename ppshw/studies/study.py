@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ppshw.errors import BadInput, PpshwError
+from ppshw.progress import COLUMNS
 from ppshw.studies.engine import Cluster, Function, Job, Outcome, Say, run_jobs
 from ppshw.studies.journal import code
 from ppshw.whole_file import write_text
@@ -106,7 +107,7 @@ def table(rows: Rows) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def aligned(rows: Rows, width: int = 80) -> str:
+def aligned(rows: Rows) -> str:
     """For a terminal: columns side by side, headers over as many lines as they need. What is the same in every row is
     said once, below."""
     alike = [key for key in rows[0] if len(rows) > 1 and len({_cell(row[key]) for row in rows}) == 1]
@@ -115,13 +116,13 @@ def aligned(rows: Rows, width: int = 80) -> str:
     wide = {key: max(map(len, (*cells[key], *key.split()))) for key in keys}
     words = {key: textwrap.wrap(key, wide[key]) for key in keys}
     left = {key for key in keys if any(isinstance(row[key], str) for row in rows)}
-    gap = "  " if sum(wide.values()) + 2 * (len(keys) - 1) <= width else " "
+    gap = "  " if sum(wide.values()) + 2 * (len(keys) - 1) <= COLUMNS else " "
     height = max(map(len, words.values()), default=0)
     heads = {key: [""] * (height - len(words[key])) + words[key] for key in keys}
     columns = [[f"{text:{'<' if key in left else '>'}{wide[key]}}" for text in heads[key] + cells[key]] for key in keys]
     lines = map(gap.join, zip(*columns, strict=True))
     said = "in every row: " + ", ".join(f"{key} {_cell(rows[0][key])}" for key in alike)
-    return "\n".join([*(line.rstrip() for line in lines), *(textwrap.wrap(said, width) if alike else [])])
+    return "\n".join([*(line.rstrip() for line in lines), *(textwrap.wrap(said, COLUMNS) if alike else [])])
 
 
 def _cell(value: Any) -> str:
