@@ -54,6 +54,7 @@ ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, wh
 # zero that jumped.) How much less it must leave for the given sign to be wrong, and by how many standard errors; and
 # for two signs to be told apart at all.
 ASKED, IN_A_ROW, REVERSED, SURE, TOLD = 400, 15, 1.04, 3.0, 1.01
+BLOCKS = 5  # of the visits of a load, where there are not many
 FIRST_ROUNDS = 3  # of the estimates that ask for the sign first; where it may be wrong, others go on to the end
 FEWEST = 10  # visits of which a standard error says something
 FARTHEST = 0.9  # share of the visits, the others counting as these
@@ -124,6 +125,9 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, first))
     if sure:  # other weights than those that bend the machine may look so too
         _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, fitted))
+    if sure:  # how a load that a half never saw bends the machine is a guess where there are few
+        _, (seen_given, seen_other), _ = _by_either_sign(sound, lambda r: _left(machine, r, first, _of_each_load))
+        sure = bool(seen_given > seen_other)
     if forces is None and sure:
         alone, less = min(((k, _turned(machine, sound, k)) for k in MOMENTS), key=lambda pair: pair[1])
         columns, after = ((alone,), less) if TOLD * less < other else (MOMENTS, float(other))
@@ -426,12 +430,31 @@ def _roughly(machine: Machine, sound: Recording, recording: Recording) -> Estima
     return estimate(joint_model(machine, sound), recording, rounds=FIRST_ROUNDS)
 
 
+def _in_blocks(load: Sequence[str]) -> NDArray[np.bool_]:
+    """(N,) one of two halves of the visits: blocks, dealt in turn."""
+    return np.asarray(np.arange(len(load)) // IN_A_ROW % 2 == 0)
+
+
+def _of_each_load(load: Sequence[str]) -> NDArray[np.bool_]:
+    """The same with blocks of the visits of each load, so that both halves have all loads."""
+    labels = np.array(load)
+    out = np.zeros(len(labels), dtype=bool)
+    for label in set(load):
+        mine = np.flatnonzero(labels == label)
+        length = max(1, min(IN_A_ROW, len(mine) // BLOCKS))
+        out[mine] = np.arange(len(mine)) // length % 2 == 0
+    return out
+
+
 def _left(
-    machine: Machine, recording: Recording, fit_to: Callable[[Machine, Recording, Recording], Estimate] = _plainly
+    machine: Machine,
+    recording: Recording,
+    fit_to: Callable[[Machine, Recording, Recording], Estimate] = _plainly,
+    halves: Callable[[Sequence[str]], NDArray[np.bool_]] = _in_blocks,
 ) -> Array:
-    """(V,) rms [m] of what the base model of half of the blocks leaves of every visit of the others."""
+    """(V,) rms [m] of what the base model of half of the visits leaves of every visit of the others."""
     some = recording.subset(np.linspace(0, len(recording) - 1, min(ASKED, len(recording))).astype(int))
-    fit = np.arange(len(some)) // IN_A_ROW % 2 == 0
+    fit = halves(some.load)
     base, others = fit_to(machine, some, some.subset(fit)), some.subset(~fit)
     missed = to_base(others.points, base.measuring_in_base) - base.model.predict(Situation.of(others), base.theta)
     return by_visit(missed)

@@ -102,6 +102,7 @@ def _joined(first: Recording, then: Recording) -> Recording:
         nan = [np.full(len(first), math.nan), np.full(len(then), math.nan)]
         return {k: np.concatenate([a.get(k, nan[0]), b.get(k, nan[1])]) for k in {**b, **a}}
 
+    ages = [np.full(len(r), math.nan) if r.load_age_s is None else r.load_age_s for r in (first, then)]
     unseen = {k: np.full((len(first), 3), math.nan) for k in then.extra_points}
     return replace(
         then,
@@ -117,6 +118,9 @@ def _joined(first: Recording, then: Recording) -> Recording:
         extra_points={k: np.concatenate([unseen[k], v]) for k, v in then.extra_points.items()},
         temperatures=both(first.temperatures, then.temperatures),
         covariates=both(first.covariates, then.covariates),
+        copies=tuple(len(first) + k for k in then.copies),
+        spikes={place: tuple(len(first) + k for k in at) for place, at in then.spikes.items()},
+        load_age_s=None if first.load_age_s is None and then.load_age_s is None else np.concatenate(ages),
     )
 
 
@@ -130,6 +134,7 @@ def as_dict(earlier: Recording) -> dict[str, Any]:
     columns |= {name: earlier.wrench[:, k] for k, name in enumerate(WRENCH_COMPONENTS)}
     columns |= {f"temp_{place}_C": values for place, values in earlier.temperatures.items()}
     columns |= {f"cov_{name}": values for name, values in earlier.covariates.items()}
+    columns |= {} if earlier.load_age_s is None else {"load_age_s": earlier.load_age_s}
     table = packed(np.array(list(columns.values())))
     return {
         "count": len(earlier), "load": list(earlier.load), "columns": list(columns),
@@ -159,5 +164,5 @@ def from_dict(data: dict[str, Any], machine: Machine, source: str, sha256: str) 
         np.full((count, len(machine.targets), 3), math.nan), {},
         {n[5:-2]: v for n, v in columns.items() if n.startswith("temp_")},
         {n[4:]: v for n, v in columns.items() if n.startswith("cov_")},
-        bool(data["has_wrench"]), source, sha256,
+        bool(data["has_wrench"]), source, sha256, load_age_s=columns.get("load_age_s"),
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -229,14 +229,45 @@ def test_a_column_that_one_of_them_lacks_is_unknown_there() -> None:
     assert np.isnan(joined.covariates["n"][~rows]).all()
 
 
+@pytest.mark.parametrize("who", ["earlier", "later", "both"])
+def test_ages_of_loads_go_on_whoever_has_them(who: str) -> None:
+    """A campaign's database has them, a table made by hand may not: either was indexed beyond its end."""
+    first, then = whole().subset(np.arange(VISITS) < FIRST), later()
+    if who != "later":
+        first = replace(first, load_age_s=np.arange(1.0, FIRST + 1))
+    if who != "earlier":
+        then = replace(then, load_age_s=np.arange(500.0, 500.0 + len(then)), copies=(3,), spikes={"rail": (5,)})
+    joined, rows = earlier.continued(first, then)
+    assert joined.load_age_s is not None
+    for part, mine in ((first, ~rows), (then, rows)):
+        ages = np.full(len(part), np.nan) if part.load_age_s is None else part.load_age_s
+        np.testing.assert_array_equal(joined.load_age_s[mine], ages)
+    if who != "earlier":
+        assert (joined.copies, joined.spikes) == ((FIRST + 3,), {"rail": (FIRST + 5,)})
+    assert np.isfinite(residuals(then, remembering(first))).any()
+
+
+def test_a_joined_recording_has_every_column_of_all_its_visits() -> None:
+    ages = np.arange(1.0, VISITS + 1)
+    aged = replace(whole(), load_age_s=ages)
+    joined, _ = earlier.continued(aged.subset(np.arange(VISITS) < FIRST), aged.subset(np.arange(VISITS) >= FIRST))
+    for field in fields(Recording):
+        before, after = getattr(aged, field.name), getattr(joined, field.name)
+        if hasattr(before, "__len__") and len(before) == VISITS:
+            assert len(after) == VISITS, field.name
+
+
 def test_a_calibration_keeps_its_visits_through_its_file(tmp_path: Path) -> None:
-    calibration = remembering(whole().subset(np.arange(VISITS) < FIRST))
+    before = whole().subset(np.arange(VISITS) < FIRST)
+    calibration = remembering(replace(before, load_age_s=np.arange(1.0, FIRST + 1)))
     calibration.save(tmp_path / "cal.json")
     again = load_calibration(tmp_path / "cal.json", load_machine(PPS))
     np.testing.assert_array_equal(residuals(later(), again), residuals(later(), calibration))
     assert again.visits is not None
     assert calibration.visits is not None
     assert again.visits.load == calibration.visits.load
+    assert again.visits.load_age_s is not None
+    np.testing.assert_array_equal(again.visits.load_age_s, calibration.visits.load_age_s)
     assert again.visits.has_wrench
     assert not again.visits.seen.any()  # readings are not kept
     data = json.loads((tmp_path / "cal.json").read_text())
