@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -128,6 +129,13 @@ class Recording:
     def measured(self) -> NDArray[np.bool_]:
         """(N,) whether a visit saw any target."""
         return np.asarray(self.seen.any(axis=1))
+
+    def unread(self) -> list[str]:
+        """A line for each column that nothing reads and that is nearly called like one that is not there."""
+        return [
+            f"column {name} is read by nothing: is it {meant}, which is not there?"
+            for name, meant in self.misspelt.items()
+        ]
 
     def subset(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> Recording:
         """The visits that `which` (a mask or indices) selects."""
@@ -357,19 +365,25 @@ def _check_spelling(cells: _Cells, machine: Machine, prefix: str) -> None:
 
 
 def _misspelt(names: Sequence[str], machine: Machine) -> dict[str, str]:
-    """Columns that nobody reads and that are nearly called like one that is not there, or begin as thermometers do:
-    they are optional, so that what they say would be left out in silence."""
+    """Columns that nobody reads and that are nearly called like one that is not there, with a unit behind it perhaps,
+    or begin as thermometers do: they are optional, so that what they say would be left out in silence."""
     known = [*columns_for(machine, extra_points=tuple(machine.points)), LOAD_AGE]
     absent = {name.casefold(): name for name in known if name not in names}
     out = {}
     for name in names:
         if name in known or name.startswith("cov_") or (name.startswith("temp_") and name.endswith("_C")):
             continue
-        if near := get_close_matches(name.casefold(), absent, n=1, cutoff=NEARLY_CALLED):
+        plain = _IN_BRACKETS.sub("", name).strip().casefold().replace(" ", "_")
+        exact = [each for each in (plain, _A_UNIT.sub("", plain)) if each in absent]
+        if near := exact or get_close_matches(plain, absent, n=1, cutoff=NEARLY_CALLED):
             out[name] = absent[near[0]]
         elif name.casefold().startswith("temp"):
             out[name] = "temp_<place>_C"
     return out
+
+
+_IN_BRACKETS = re.compile(r"[\s_]*[\[({][^\])}]*[\])}]\s*$")  # Fx [N]
+_A_UNIT = re.compile(r"_(?:[mµu]?m|k?n|n_?m{1,2}|m?rad|deg|m?s|c)$")  # P1_x_mm
 
 
 def _check_limits(cells: _Cells, machine: Machine, q_cmd: Array) -> None:

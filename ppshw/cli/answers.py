@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,6 +21,10 @@ from ppshw.whole_file import written_whole
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
 TWINNED_PER_S = 250.0
+Kind = Literal["json", "csv", "page", "campaign", "site"]
+SAID_OF: dict[Kind, str] = {
+    "json": "JSON", "csv": "table of visits", "page": "HTML page", "campaign": "campaign", "site": "site file",
+}  # fmt: skip
 SAID = 3  # joints and loads outside what was identified
 
 
@@ -101,13 +106,32 @@ def figure_row(name: str, values: dict[str, Any]) -> str:
     return f"{name:16}" + "".join(f"{values[k]:10.3f}" for k in keys)
 
 
-def new_file(path: str | Path, *inputs: str | Path) -> Path:
-    """Where an answer may go: not over a recording, which may be hours of measuring. Raises BadInput, or the system's
-    OSError, before anything is computed, not after."""
+def new_file(kind: Kind, path: str | Path, *inputs: str | Path) -> Path:
+    """Where an answer may go: a new file, or over an earlier one of its kind; not over a recording, which may be hours
+    of measuring. Raises BadInput, or the system's OSError, before anything is computed, not after."""
     out = _place(path, *inputs)
-    if out.is_file() and is_sqlite(out):
+    if not out.is_file() or (there := _kind_of(out)) in ("nothing", kind):
+        return out
+    if there == "recording":
         raise BadInput(f"{out}: is a recording already, expected another file to write")
-    return out
+    raise BadInput(f"{out}: exists already and is no {SAID_OF[kind]}, expected another file to write")
+
+
+def _kind_of(file: Path) -> str:
+    """What a file seems to be, by its beginning."""
+    if is_sqlite(file):
+        return "recording"
+    with file.open("rb") as stream:
+        text = stream.read(1 << 16).decode("utf-8", "replace").lstrip("\ufeff \t\r\n")
+    if not text:
+        return "nothing"
+    if text[0] in "{<":
+        return "json" if text[0] == "{" else "page"
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    if lines and re.search(r'(^|,)"?q_\w', lines[0]):
+        return "csv"
+    top = {line.split(":")[0] for line in lines if re.match(r"\w+:", line)}
+    return "campaign" if "steps" in top else "site" if {"axes", "tracker"} <= top else "other"
 
 
 def _place(path: str | Path, *inputs: str | Path) -> Path:
@@ -134,11 +158,11 @@ def new_recording(path: str, *inputs: str) -> Path:
     return out
 
 
-def new_files(paths: Sequence[str], *inputs: str) -> None:
+def new_files(paths: Sequence[tuple[Kind, str]], *inputs: str) -> None:
     """Where several answers may go, each into a file of its own. Raises BadInput like `new_file`."""
     taken: set[Path] = set()
-    for path in paths:
-        place = new_file(path, *inputs).resolve()
+    for kind, path in paths:
+        place = new_file(kind, path, *inputs).resolve()
         if place in taken:
             raise BadInput(f"{path}: two answers would go there, expected a file for each")
         taken.add(place)

@@ -14,6 +14,7 @@ from ppshw.cli.answers import (
     FIGURE_HEAD,
     REPORT_S,
     TWINNED_PER_S,
+    Kind,
     columns_named,
     doubts_about,
     figure_row,
@@ -51,7 +52,8 @@ def diagnose(a: argparse.Namespace) -> None:
         raise BadInput(f"--without {min(without - set(NAMES))}: no such effect, expected some of {', '.join(NAMES)}")
     machine = machine_of(a)
     recording = load_recording(a.rec, machine)
-    new_files([out for out in (a.json, a.out, a.page) if out not in (None, "-")], a.rec, machine.file)
+    asked: list[tuple[Kind, str | None]] = [("json", a.json), ("json", a.out), ("page", a.page)]
+    new_files([(kind, out) for kind, out in asked if out is not None and out != "-"], a.rec, machine.file)
     before = _doubts_before(machine, recording)
     warn(a.rec, before)
     with Bar() as bar:
@@ -167,7 +169,7 @@ def twin(a: argparse.Namespace) -> None:
 
     machine = machine_of(a)
     calibration = load_calibration(a.calibration, machine)
-    out = new_file(a.out, a.rec, machine.file, a.calibration)
+    out = new_file("csv", a.out, a.rec, machine.file, a.calibration)
     table = read_table(a.rec)
     check_machine(table, machine)
     recording = parse_table(table, machine)

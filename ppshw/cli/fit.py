@@ -50,7 +50,7 @@ def identify(a: argparse.Namespace) -> None:
     from ppshw.recording import load_recording
 
     machine = machine_of(a)
-    out = new_file(a.out, a.rec, machine.file)
+    out = new_file("json", a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
     with columns_named(machine, recording):

@@ -92,7 +92,7 @@ def _designed(
         raise BadInput("plan: --calibration is not needed with --after, which identifies the recording itself")
     if a.out is None:
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the designed campaign goes")
-    out = new_file(a.out, machine.file, *(x for x in (a.after, a.calibration, a.loads) if x))
+    out = new_file("campaign", a.out, machine.file, *(x for x in (a.after, a.calibration, a.loads) if x))
     seed = _SEED if a.seed is None else a.seed
     words = " ".join(f"{key.replace('_', '-')} {Path(str(v)).name if key != '--accuracy' else f'{v * 1e3:g}mm'}"
                      for key, v in asked.items() if key not in ("--out", "--seed"))  # fmt: skip
@@ -128,7 +128,7 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
         raise BadInput(f"--joint {a.joint}: no such joint (there are: {', '.join(machine.joint_names)})")
     if a.out is None:
         raise BadInput("plan: --out CAMPAIGN.yaml is missing: where the visits go")
-    out = new_file(a.out, machine.file, *(x for x in (a.after, a.campaign, a.loads) if x))
+    out = new_file("campaign", a.out, machine.file, *(x for x in (a.after, a.campaign, a.loads) if x))
     so_far: Any = (
         plan_campaign(load_script(a.campaign), machine) if a.after is None else load_recording(a.after, machine)
     )

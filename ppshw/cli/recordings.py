@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ppshw import __version__
-from ppshw.cli.answers import READ_PER_S, new_file, new_recording, say
+from ppshw.cli.answers import READ_PER_S, new_file, new_recording, say, warn
 from ppshw.cli.arguments import machine_of
 from ppshw.errors import BadInput
 from ppshw.progress import Bar
@@ -36,6 +36,7 @@ def import_(a: argparse.Namespace) -> None:
         "ppshw": __version__,
     }
     RecordingFile.create(out, table.header, meta, table.rows).close()
+    warn(a.csv, recording.unread())
     readings = int(recording.seen.sum())
     answer = {"visits": len(recording), "readings": readings, "sha256": recording.sha256, "out": a.out}
     say(a, answer, f"{a.out}: {many(len(recording), 'visit')}, {many(readings, 'reading')}")
@@ -45,7 +46,7 @@ def export(a: argparse.Namespace) -> None:
     """export: SQLite → CSV, the same cells in the same order."""
     from ppshw.recording import read_table
 
-    out = new_file(a.csv, a.rec)
+    out = new_file("csv", a.csv, a.rec)
     table = read_table(a.rec)
     with written_whole(out) as partial:
         partial.write_text(table.csv_text(table.newline), encoding="utf-8", newline="")

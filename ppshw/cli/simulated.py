@@ -27,7 +27,7 @@ def simulate(a: argparse.Namespace) -> None:
     _refuse_what_no_site_moves(machine)
     if not SPEEDS[0] <= a.speed <= SPEEDS[1]:
         raise BadInput(f"--speed {a.speed:g}: expected {SPEEDS[0]:g} to {SPEEDS[1]:g}")
-    site = new_file(a.site_out, machine.file)
+    site = new_file("site", a.site_out, machine.file)
     if site.is_file() and not is_ours(site):
         raise BadInput(f"{site}: exists already and is no site file of simulated hardware, expected a new file")
 

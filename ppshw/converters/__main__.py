@@ -16,7 +16,7 @@ from ppshw.whole_file import BAD_PATH
 def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
-        new_file(args.out, args.source)
+        new_file("csv", args.out, args.source)
         if args.dataset == "hilti":
             visits = hilti.convert(args.source, args.out)
         elif args.dataset == "ur10":

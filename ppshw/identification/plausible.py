@@ -146,10 +146,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"{many(len(recording.copies), 'visit')} read the same as an earlier one to the last digit "
             f"({listed(recording.copies)}): are these rows copies?"
         )
-    said += [
-        f"column {name} is read by nothing: is it {meant}, which is not there?"
-        for name, meant in recording.misspelt.items()
-    ]
+    said += recording.unread()
     said += [
         f"temp_{place}_C leaps at {many(len(visits), 'visit')} ({listed(visits)}) and is back at once: "
         "taken for empty there"

@@ -12,7 +12,8 @@ from ppshw.calibration import Calibration
 from ppshw.errors import RecordingError
 from ppshw.evaluation import by_visit, figures, residuals
 from ppshw.identification.joint import SET_ASIDE, believed_to
-from ppshw.quantities import many
+from ppshw.kinematics import frames, joint_jacobian, point_positions
+from ppshw.quantities import distance, many
 from ppshw.recording import Recording
 from ppshw.report.concealed import of_the_instrument
 from ppshw.report.contents import RECORDINGS, Contents, Missing
@@ -29,6 +30,8 @@ CASES = {
 FIGURES = ("median_mm", "p95_mm", "p98_6_mm", "max_mm")
 # A run prints what it computed from the same recordings: a difference beyond rounding is worth a sentence.
 ROUNDING_MM = 6e-4
+LEAST_WAY = 0.02  # m per m or rad: a beam's 0.5 mm would take 25 mm or 25 mrad, about what a correction may be
+WORTH_SAYING = 0.2  # share of what is left
 CHUNK = 400  # visits linearised at once: some 30 MB of design
 
 
@@ -82,8 +85,9 @@ def compute(contents: Contents) -> Numbers:
                 errors.pop(case, None)
                 missing.append(Missing(f"{stem}: {point}", str(why), RECORDINGS[stem]))
     poses = {case: _poses(contents.recordings[stem]) for stem, case in CASES.items() if case in errors}
+    where_left = _where_no_joint_moves(contents, errors, poses, where)
     errors, compared = _of_the_same_poses(errors, poses)
-    notes += [*_broken_off(contents), *compared]
+    notes += [*where_left, *_broken_off(contents), *compared]
     for case in CASES.values():
         if case in errors:
             seen = int(np.isfinite(errors[case]).all(axis=1).sum())
@@ -117,6 +121,33 @@ def _broken_off(contents: Contents) -> list[str]:
     said = [(source, source.meta.get("visits_planned", "")) for source in contents.sources]
     planned = [(source, int(number)) for source, number in said if number.isdecimal()]
     return [f"{s.name}: {s.visits} of {many(of, 'planned visit')} were measured." for s, of in planned if s.visits < of]
+
+
+def _where_no_joint_moves(
+    contents: Contents, errors: dict[str, Array], poses: dict[str, list[tuple[float, ...]]], where: Array | None
+) -> list[str]:
+    """How much of what compensation left no joint can take off: along directions that move the point by less than
+    LEAST_WAY per metre or radian of any joint."""
+    case = next((case for case in ("extended", "compensated") if case in errors), None)
+    if case is None or where is None:
+        return []
+    machine, left = contents.machine, errors[case]
+    q = np.array(poses[case])
+    moves = joint_jacobian(machine, frames(machine, q), point_positions(machine, q, where[None]))[:, 0]  # (N, 3, n)
+    ways, lengths, _ = np.linalg.svd(moves)
+    open_ways = np.zeros((len(q), 3), dtype=bool)
+    open_ways[:, : lengths.shape[1]] = lengths > LEAST_WAY
+    closed = np.einsum("nij,ni->nj", ways, left) * ~open_ways
+    if not (seen := np.isfinite(closed).all(axis=1)).any() or not (~open_ways[seen]).any():
+        return []
+    of_it, whole = (figures(each[seen])["p98_6_mm"] for each in (closed, left))
+    if of_it < WORTH_SAYING * whole:
+        return []
+    return [
+        f"Along directions in which no joint moves the point ‘{contents.point}’ the {case} verification leaves up to "
+        f"{distance(1e-3 * of_it)} (98.6 %), of {distance(1e-3 * whole)} in all: no correction of these joints, and no "
+        "diagnosis, takes that off."
+    ]
 
 
 def _of_the_same_poses(

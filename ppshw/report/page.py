@@ -113,9 +113,15 @@ def headline(contents: Contents, numbers: Numbers) -> str:
             alone = f" ({mm(base['p98_6_mm'])} with the base calibration alone)"
             if base["p98_6_mm"] < after["p98_6_mm"]:
                 worse = " With what the diagnosis found it is worse: use the base calibration."
+        if factor < 1.0:
+            return (
+                f"Compensation makes it worse: 98.6 % of the errors {at} are within {mm(before['p98_6_mm'])} without "
+                f"and within {mm(after['p98_6_mm'])} with it{with_it}{alone}{on}{end}{worse}"
+            )
+        times = f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}"
         return (
             f"Compensation brings 98.6 % of the errors {at} from within {mm(before['p98_6_mm'])} to within "
-            f"{mm(after['p98_6_mm'])}{with_it}{alone}, a factor of {factor:.0f}{on}{end}{worse}"
+            f"{mm(after['p98_6_mm'])}{with_it}{alone}, a factor of {times}{on}{end}{worse}"
         )
     one = after or before
     if one and "p98_6_mm" in one:

@@ -67,6 +67,14 @@ def test_optional_columns_that_are_misspelt_are_asked_about(tmp_path: Path) -> N
         "approach_trun": "approach_turn", "SETTLE_S": "settle_s", "fx": "Fx", "temp_air": "temp_<place>_C",
         "Temperature": "temp_<place>_C",
     }  # fmt: skip
+    assert read(
+        tmp_path,
+        "q_rail,q_turn,Fx [N],Fy (N),Fz_N,My [N m],P1_x,P1_y,P1_z,P2_x [mm],P2_y_m,P2 z,settle_s [s],temp_in_m",
+        "0.1,0.2,1,2,3,4,1,2,3,4,5,6,7,8",
+    ).misspelt == {
+        "Fx [N]": "Fx", "Fy (N)": "Fy", "Fz_N": "Fz", "My [N m]": "My", "P2_x [mm]": "P2_x", "P2_y_m": "P2_y",
+        "P2 z": "P2_z", "settle_s [s]": "settle_s", "temp_in_m": "temp_<place>_C",
+    }  # fmt: skip
     said = doubts(load_machine(tmp_path / "m.yaml"), recording)
     assert "column approach_trun is read by nothing: is it approach_turn, which is not there?" in said
     assert read(tmp_path, ",".join(columns_for(load_machine(tmp_path / "m.yaml"))), *[",".join(

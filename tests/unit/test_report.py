@@ -428,11 +428,36 @@ def test_a_diagnosis_of_another_machine_or_recording_is_said_to_be_one(
     assert len(notes) == bool(said)
 
 
+def test_what_lies_where_no_joint_moves_the_point_is_said_to_stay(copy: Path) -> None:
+    """Two joints of a cell: a diagnosis cannot help; the page had said only that 7.14 mm are left (a reviewer's)."""
+    numbers = compute(read_folder(copy))
+    (said,) = (note for note in numbers.notes if "no joint moves" in note)
+    assert said.startswith(
+        "Along directions in which no joint moves the point ‘treatment’ the compensated verification"
+    )
+    left = float(re.search(r"leaves up to ([\d.]+) mm", said)[1])  # type: ignore[index]
+    # the rail goes along x and the turntable about z: nothing lifts the point
+    lifted = 1e3 * np.quantile(np.abs(numbers.errors["compensated"][:, 2]), 0.986)
+    assert lifted - 0.01 < left <= numbers.accuracy["compensated"]["p98_6_mm"] + 0.01
+
+
+def test_a_correction_that_made_it_worse_is_called_that(copy: Path) -> None:
+    one, other = (copy / f"verification_{which}.db" for which in ("nominal", "compensated"))
+    one.rename(copy / "aside.db")
+    other.rename(one)
+    (copy / "aside.db").rename(other)
+    contents = read_folder(copy)
+    said = headline(contents, compute(contents))
+    assert said.startswith("Compensation makes it worse: 98.6 % of the errors at the point ‘treatment’ are within ")
+    assert "factor" not in said
+
+
 def test_figures_that_the_run_printed_are_held_against_the_recordings(copy: Path) -> None:
     mine = compute(read_folder(copy)).accuracy
     printed = {**mine, "compensated": {**mine["compensated"], "max_mm": 0.001}, "visits": 170, "seconds": 31.4}
     (copy / "demo.json").write_text(json.dumps(printed))
     notes = compute(read_folder(copy)).notes
+    notes = [note for note in notes if note.startswith("demo.json")]
     assert len(notes) == 1
     assert notes[0].startswith("demo.json says compensated max_mm = 0.001; the recording here gives")
     contents = read_folder(copy)
