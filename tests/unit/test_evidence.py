@@ -34,7 +34,7 @@ def test_within_the_draws_it_is_their_share_and_beyond_them_it_falls_with_the_od
     assert p_value(149.0, null) == pytest.approx(51 / 200)
     assert p_value(-1.0, null) == 1.0
     assert p_value(206.0, null) == pytest.approx(p_value(204.0, null) * np.exp(-2.0))
-    values = [p_value(x, null) for x in np.linspace(100.0, 230.0, 131)]
+    values = [p_value(x, null) for x in np.linspace(100.0, 230.0, 261)]
     assert values == sorted(values, reverse=True)
     assert p_value(5000.0, null) == 1e-300
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from ppshw.calibration import Calibration, content_digest, load_calibration
 from ppshw.diagnosis import diagnose
 from ppshw.errors import CalibrationError
 from ppshw.evaluation import residuals
-from ppshw.identification import identify
+from ppshw.identification import identify, own_weight
 from ppshw.identification.joint import Estimate
 from ppshw.identification.noise import Noise
 from ppshw.identification.own_weight import log_evidences
@@ -138,3 +139,35 @@ def test_the_likelihood_of_two_fits_is_that_of_the_normal_distribution_of_all_th
         expected.append(multivariate_normal(cov=scatter + (design * prior**2) @ design.T).logpdf(data))
     said = log_evidences(fits, recording)
     assert said[0] - said[1] == pytest.approx(expected[0] - expected[1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("asked", "whole", "way", "fits"),
+    [
+        ({"own": 10.0, "payload": 12.9, "beyond": 19.9}, None, "own", 1),  # neither is ahead by what it must be
+        ({"own": 10.0, "payload": 13.1, "beyond": 19.9}, (100.0, 103.1), "payload", 2),
+        ({"own": 10.0, "payload": 13.1, "beyond": 19.9}, (100.0, 102.9), "own", 2),  # a whole fit that is no likelier
+        ({"own": 10.0, "payload": 14.0, "beyond": 21.5}, (100.0, 110.1), "beyond", 2),
+        ({"own": 10.0, "payload": 14.0, "beyond": 21.5}, (100.0, 109.9), "own", 2),
+    ],
+)
+def test_another_way_stands_only_where_its_whole_fit_is_likelier_too(
+    monkeypatch: pytest.MonkeyPatch,
+    asked: dict[BentBy, float],
+    whole: tuple[float, float] | None,
+    way: BentBy,
+    fits: int,
+) -> None:
+    made: list[BentBy] = []
+
+    def fit(machine: Machine, recording: Recording, progress: object = None) -> SimpleNamespace:
+        made.append(machine.bent_by)
+        return SimpleNamespace(bent_by=machine.bent_by, weights=np.ones(60))
+
+    monkeypatch.setattr(own_weight, "joint_model", lambda machine, _: machine)
+    monkeypatch.setattr(own_weight, "estimate", fit)
+    monkeypatch.setattr(own_weight, "_moved_evidence", lambda found, which, *_: asked[which])
+    monkeypatch.setattr(own_weight, "log_evidences", lambda *_: list(whole or ()))
+    found = own_weight.fitted(replace(ARM, bent_by="own"), None, None)  # type: ignore[arg-type]
+    assert found.bent_by == way  # type: ignore[attr-defined]
+    assert len(made) == fits

@@ -153,6 +153,18 @@ def test_the_final_approach_comes_from_the_configured_side(
         assert direction * (turning_point - min(direction * x for x in seen) * direction) > -1e-4
 
 
+def test_an_axis_that_stands_where_it_is_wanted_is_not_driven_away_for_its_side(build: Callable[..., Machine]) -> None:
+    """Another joint moves: one that stays stands as it came."""
+    m = build(replace(SLIDE, approach_from=-1, approach_distance=0.02), LIFT)
+    m.group.start()
+    m.group.move({"slide": 0.2, "lift": 0.0})
+    seen: list[float] = []
+    m.clock.every(0.02, lambda: seen.append(m.drive("slide").motor_position() / 1e5))
+    m.group.move({"slide": 0.2, "lift": 0.3})
+    assert len(seen) > 10
+    assert max(seen) - min(seen) < 1e-4
+
+
 def test_no_axis_moves_when_one_setpoint_is_outside_its_limits(machine: Machine) -> None:
     with pytest.raises(SoftLimit, match=r"slew: setpoint 1\.6 rad is above the limit 1\.5"):
         machine.group.move({"slide": 0.1, "slew": 1.6})

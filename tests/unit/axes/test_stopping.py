@@ -395,3 +395,32 @@ def test_an_axis_that_missed_a_look_is_seen_again_by_its_process_data() -> None:
     stopping.stand_still()
     assert looks == []  # the fifth look is the first at which it stands
     assert stopping.unstopped == []
+
+
+def test_a_stop_that_one_drive_was_not_sent_is_none_though_the_bus_took_all_else(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost() -> None:
+        raise can.CanOperationError("Failed to transmit")
+
+    assert machine.group._stopping.at_once()
+    monkeypatch.setattr(machine.group._axes["lift"], "send_quick_stop", lost)
+    assert not machine.group._stopping.at_once()
+
+
+@pytest.mark.parametrize(
+    ("silent", "again", "named"),
+    [
+        ({1}, {1, 2}, {1}),  # the second was late, or fell silent since: the first one is gone
+        ({1, 3}, {2, 3}, {3}),
+        ({3}, set(), {3}),  # late only, and no other one shall be named in its place
+        ({1}, {1, 2, 3}, {1, 2, 3}),  # the bus fell silent
+    ],
+)
+def test_who_is_named_did_not_answer_both_times(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, silent: set[int], again: set[int], named: set[int]
+) -> None:
+    nodes = sorted(axis.node_id for axis in machine.axes)
+    monkeypatch.setattr(machine.group._bus, "exchange", lambda asked: {nodes[k - 1] for k in again})
+    found = machine.group._still_silent({nodes[k - 1] for k in silent})
+    assert found == {nodes[k - 1] for k in named}
