@@ -158,7 +158,7 @@ def _clearance(candidate: Candidate) -> list[Told]:
 def _compliance(candidate: Candidate) -> list[Told]:
     if "load_width" in candidate.shape and candidate.effect == "nonlinear_stiffness":
         return [Told("half_slack", unit_of(candidate.component))]
-    if candidate.covariate == "load":  # in all directions, each by its own
+    if candidate.component is None and candidate.columns[0].function == "load":  # in all directions
         return [Told(f"compliance_{way}_by_{load}", per_load(unit_of(way), load)) for way, load in _ways(candidate)]
     of_a_bearing = candidate.columns[0].function == "bearing"
     unit = per_load("rad" if of_a_bearing else unit_of(candidate.component), candidate.covariate)

@@ -188,6 +188,8 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
                             Column("frame", "load_turn", {**args, "order": order, "phase": phase}, frame, comp)
                             for phase in ("sin", "cos")
                         ), {}, 0.15 * share)  # fmt: skip
+            if b not in known and frame == c.machine.n:
+                yield _last_link_in_any_direction(c, b)
             if joint is not None and np.ptp(c.recording.q[:, frame - 1]) > 0:
                 yield from _softer_over_a_stretch(c, frame, b)
         if joint is not None and not joint.prismatic and float(np.ptp(c.recording.q[:, frame - 1])) > HALF_A_CYCLE:
@@ -196,6 +198,15 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
             yield Candidate("missing_compliance", name, there, None, "load", diagonal, {}, 2.0)
+
+
+def _last_link_in_any_direction(c: Context, b: int) -> Candidate:
+    """What bends last moves all reflectors as one body, and so does a rival by the same load that moves each by itself:
+    in six directions for its nine (a flange without a name in a forty-seventh and a forty-eighth author's)."""
+    frame = c.machine.n
+    ways = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, way) for way in range(6))
+    name = c.machine.joint_names[-1]
+    return Candidate("missing_compliance", name, name, None, WRENCH_COMPONENTS[b], ways, {}, 0.3)
 
 
 def _softer_over_a_stretch(c: Context, frame: int, b: int) -> Iterator[Candidate]:

@@ -562,3 +562,22 @@ def test_a_floor_that_gives_way_to_the_machine_alone_is_a_moving_weight_of_the_b
     said = finding(there, tried, found[0])
     assert list(said["parameters"])[:2] == ["compliance_rx", "compliance_ry"]
     assert said["sentence"].startswith("the floor or the base tilts as the machine's own weight moves over it (")
+
+
+def test_a_last_link_that_gives_way_in_several_directions_lacks_a_compliance(tmp_path: Path) -> None:
+    """Under one force reflectors that moved each by itself said more than one direction did (a forty-eighth author's
+    060)."""
+    machine, recording = clean_case(60534, "arm6", 240, 180, tmp_path)
+    last = replace(machine.joints[-1], elastic=None)
+    machine = replace(machine, joints=(*machine.joints[:-1], last))
+    space = prepare(machine, recording, np.ones(len(recording), dtype=bool))
+    c, frame = space.context, machine.n
+    ways = [c.jacobian[:, :, frame, way] * c.wrenches[:, frame, :1] for way in (0, 3, 4, 5)]
+    moved = of_size(space, sum(of_size(space, way, 1.0) for way in ways), 3.0)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["missing_compliance"])
+    assert found[0].name == ("missing_compliance", last.name)
+    assert best_of(tried, found[0]).component is None
+    said = finding(there, tried, found[0])
+    assert list(said["parameters"])[:6] == [f"compliance_{way}_by_Fx" for way in ("tx", "ty", "tz", "rx", "ry", "rz")]
+    assert f"{last.name} gives way under Fx, which its file leaves out" in said["sentence"]
