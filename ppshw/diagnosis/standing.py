@@ -24,7 +24,9 @@ from ppshw.diagnosis.kinship import (
 from ppshw.diagnosis.library.sampled import within
 from ppshw.diagnosis.shadows import SHADOW, same_place
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
+from ppshw.terms.shapes.covariates import bare
 
 Array = NDArray[np.float64]
 # When all is found, a name stands only if it is ahead of every rival without one: by e⁴ by its own form, or by an
@@ -295,12 +297,16 @@ def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:
     """Whether something without a name goes on in the same component of the same frame, or over a temperature beside a
     drift, half as large or larger and no ten times more quiet: then a name there stands for what nobody knows. A
     temperature's course is one over time, too: beside growth that had no name a drift was its rest (two recordings of
-    the fortieth author, growth taken out; in none of seven authors' was a drift right there)."""
+    the fortieth author, growth taken out; in none of seven authors' was a drift right there). So is beside something
+    over a load a last link that gives way in all directions (a clearance of the joint before it, the forty-sixth's
+    011)."""
     where = tried.candidates[f.best]
     for g in others:
         there = tried.candidates[g.best]
         large = g.size > RIDDLE * f.size and g.first > SHADOW * f.first
         warm = where.effect == "drift" and any("temp_" in name for name in there.covariates)
-        if g.name[0] == "nameless" and (warm or same_place(where, there)) and large:
+        loads = {bare(name).rsplit("_", 1)[-1] for name in there.covariates} & set(WRENCH_COMPONENTS)
+        slack = where.effect == "missing_compliance" and len(where.columns) == len(COMPONENTS) and bool(loads)
+        if g.name[0] == "nameless" and (warm or slack or same_place(where, there)) and large:
             return True
     return False

@@ -80,6 +80,22 @@ def test_a_drift_beside_a_riddle_over_a_temperature_is_none(space: Workspace, si
     assert not standing._beside_a_riddle(tried, creep, [warm])
 
 
+def test_a_last_link_that_gives_way_in_all_directions_beside_a_riddle_over_a_load_is_none(space: Workspace) -> None:
+    frame, last = space.machine.n, space.machine.joint_names[-1]
+    ways = tuple(Column("frame", "load", {"frame": frame, "component": 4}, frame, way) for way in range(6))
+    sags = Candidate("missing_compliance", last, last, None, "My", ways, {})
+    along = Candidate("missing_compliance", last, last, "ry", "My", ways[4:5], {})
+    riddles = named(space, "nameless")
+    by_load = next(k for k in riddles if k.covariates[0].startswith("on_roll_"))
+    other = next(k for k in riddles if k.covariates == (f"q_{NAME}",) and k.frame == NAME)
+    tried = Tried(space, [sags, along, by_load, other], 5e-5)
+    any_way, one_way = (Found(j, ("missing_compliance", last), 0.0, 160.0, size=5e-5, first=160.0) for j in (0, 1))
+    over, elsewhere = (Found(j, ("nameless", None), 0.0, 90.0, size=4e-5, first=90.0) for j in (2, 3))
+    assert standing._beside_a_riddle(tried, any_way, [over])
+    assert not standing._beside_a_riddle(tried, any_way, [elsewhere])
+    assert not standing._beside_a_riddle(tried, one_way, [over])
+
+
 @pytest.mark.parametrize(
     ("rival", "own", "with_all", "stands"),
     [
