@@ -33,10 +33,11 @@ types: env
 	$(BIN)/mypy
 layers: env
 	$(BIN)/lint-imports
-# One linear-algebra thread per test process: processes with two threads each would fight over two cores. Four of them,
-# since many tests wait for machine time.
+# One linear-algebra thread per test process: processes with two threads each would fight over two cores. Three of them,
+# since many tests wait for machine time: 604 s on two cores. With four 553, but a simulated drive once had no turn within
+# the 0.2 s that an SDO answer may take.
 unit: env
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 4 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 3 --dist worksteal
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
