@@ -34,7 +34,8 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         other = tried.candidates[f.best]
         if candidate.effect == other.effect == "target_moved" and candidate.covariate == other.covariate:
             return f  # a reflector that moves now and again
-        same_joint = other.joint is not None and other.joint in (candidate.joint, whose(candidate.covariate))
+        of = {whose(name) for name in candidate.covariate.split(" × ")}
+        same_joint = other.joint is not None and (candidate.joint == other.joint or other.joint in of)
         by_load = other.effect in LOADS and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
         same_cause = candidate.covariate == other.covariate or at_once(tried, candidate, other)
         alike = candidate.effect == other.effect and candidate.covariate == other.covariate
