@@ -24,7 +24,7 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
 
     may_be_missing  nothing written is nothing wrong
     """
-    passed_on = _is_no_file(path)
+    passed_on = is_no_file(path)
     place = Path(gettempdir()) / path.name if passed_on else path.resolve() if path.is_symlink() else path
     partial = place.with_name(f"{place.name}.{os.getpid()}.part")
     try:
@@ -44,7 +44,7 @@ def written_whole(path: Path, may_be_missing: bool = False) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def _is_no_file(path: Path) -> bool:
+def is_no_file(path: Path) -> bool:
     """Whether nothing may take the place of what is there: a device, a pipe, or what a process has open."""
     where = path.absolute().parts[1:3]
     in_use = where[:1] == ("proc",) or where in (("dev", "stdout"), ("dev", "stderr"), ("dev", "fd"))

@@ -16,7 +16,7 @@ import numpy as np
 from ppshw.errors import BadInput, IdentificationFailed, RecordingError
 from ppshw.quantities import many
 from ppshw.recording_file import is_sqlite
-from ppshw.whole_file import written_whole
+from ppshw.whole_file import is_no_file, written_whole
 
 # What takes how long on a small computer, for bars of what reports nothing of itself: guesses, good to a factor of two.
 REPORT_S, EVALUATED_PER_S, STEPWISE_PER_S, READ_PER_S = 4.0, 7000.0, 400.0, 5e6  # s, visits/s, visits/s, bytes/s
@@ -110,7 +110,7 @@ def new_file(kind: Kind, path: str | Path, *inputs: str | Path) -> Path:
     """Where an answer may go: a new file, or over an earlier one of its kind; not over a recording, which may be hours
     of measuring. Raises BadInput, or the system's OSError, before anything is computed, not after."""
     out = _place(path, *inputs)
-    if not out.is_file() or (there := _kind_of(out)) in ("nothing", kind):
+    if not out.is_file() or is_no_file(out) or (there := _kind_of(out)) in ("nothing", kind):
         return out
     if there == "recording":
         raise BadInput(f"{out}: is a recording already, expected another file to write")

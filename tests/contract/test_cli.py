@@ -498,6 +498,16 @@ def test_whoever_reads_may_stop_reading(desk: Path) -> None:
     assert done.stderr == ""
 
 
+def test_an_answer_goes_behind_what_standard_output_holds_already(desk: Path) -> None:
+    (desk / "notes.txt").write_text("measured on Monday\n", encoding="utf-8")
+    command = f"'{PROGRAM}' export good.db /dev/stdout >> notes.txt"
+    done = subprocess.run(["bash", "-c", command], cwd=desk, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    text = (desk / "notes.txt").read_text(encoding="utf-8")
+    assert text.startswith("measured on Monday\n")
+    assert (desk / "good.csv").read_text(encoding="utf-8") in text
+
+
 def test_a_command_that_nobody_can_be_told_of_on_its_way_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run whose stderr goes into a pipe that died: it was stopped before its end."""
 
