@@ -34,8 +34,7 @@ types: env
 layers: env
 	$(BIN)/lint-imports
 # One linear-algebra thread per test process: processes with two threads each would fight over two cores. Three of them,
-# since many tests wait for machine time: 604 s on two cores. With four 553, but a simulated drive once had no turn within
-# the 0.2 s that an SDO answer may take.
+# since many tests wait for machine time. Four are hardly faster (613 s), and a simulated drive, or run, was late now and then.
 unit: env
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 3 --dist worksteal
 
