@@ -125,7 +125,7 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
     _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, first))
     if sure:  # other weights than those that bend the machine may look so too
         _, (given, other), sure = _by_either_sign(sound, lambda r: _left(machine, r, fitted))
-    if sure:  # how a load that a half never saw bends the machine is a guess where there are few
+    if forces is None and sure:  # how a load that a half never saw bends the machine is a guess where there are few
         _, (seen_given, seen_other), _ = _by_either_sign(sound, lambda r: _left(machine, r, first, _of_each_load))
         sure = bool(seen_given > seen_other)
     if forces is None and sure:

@@ -89,12 +89,16 @@ def at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
 def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:
     """What a function without a name leaves: something in the same component, over the same columns, by a load where it
     goes with one, and over time where it goes with a temperature, lags, or a reflector wanders."""
-    loads = any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in other.covariates)
     over = any(speaks_of(name, candidate.covariate) for name in other.covariates)
     slow = any(name.startswith(("late_", "temp_")) for name in other.covariates)
     slow = slow or any(column.function == "target_shift" and "plumb" not in column.args for column in other.columns)
-    by_load = loads and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
+    by_load = goes_with_a_load(other) and (candidate.effect in LOADS or candidate.covariate in WRENCH_COMPONENTS)
     return same_place(candidate, other) or over or by_load or (slow and candidate.covariate == "time")
+
+
+def goes_with_a_load(riddle: Candidate) -> bool:
+    """Whether one of the columns of what has no name is a load, at the sensor or on a frame, late or not."""
+    return any(name.rsplit("_", 1)[-1] in WRENCH_COMPONENTS for name in riddle.covariates)
 
 
 def same_place(one: Candidate, other: Candidate) -> bool:

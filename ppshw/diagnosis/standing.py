@@ -22,11 +22,9 @@ from ppshw.diagnosis.kinship import (
     winds_up,
 )
 from ppshw.diagnosis.library.sampled import within
-from ppshw.diagnosis.shadows import SHADOW, same_place
+from ppshw.diagnosis.shadows import SHADOW, goes_with_a_load, same_place
 from ppshw.diagnosis.workspace import Workspace
-from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
-from ppshw.terms.shapes.covariates import bare
 
 Array = NDArray[np.float64]
 # When all is found, a name stands only if it is ahead of every rival without one: by e⁴ by its own form, or by an
@@ -305,8 +303,8 @@ def _beside_a_riddle(tried: Tried, f: Found, others: list[Found]) -> bool:
         there = tried.candidates[g.best]
         large = g.size > RIDDLE * f.size and g.first > SHADOW * f.first
         warm = where.effect == "drift" and any("temp_" in name for name in there.covariates)
-        loads = {bare(name).rsplit("_", 1)[-1] for name in there.covariates} & set(WRENCH_COMPONENTS)
-        slack = where.effect == "missing_compliance" and len(where.columns) == len(COMPONENTS) and bool(loads)
+        slack = where.effect == "missing_compliance" and len(where.columns) == len(COMPONENTS)
+        slack = slack and goes_with_a_load(there)
         if g.name[0] == "nameless" and (warm or slack or same_place(where, there)) and large:
             return True
     return False

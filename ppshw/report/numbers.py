@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,8 +56,8 @@ class Numbers:
 
     @property
     def best(self) -> str:
-        """The case that stands for compensation: with what a diagnosis found, where that was tried."""
-        return "extended" if self.extended else "compensated"
+        """As `_best_of`; the plain one where nothing was compensated."""
+        return _best_of(self.accuracy) or "compensated"
 
     @property
     def extended(self) -> bool:
@@ -105,10 +106,15 @@ def compute(contents: Contents) -> Numbers:
     if contents.concealed is not None and (erring := of_the_instrument(contents.concealed)):
         notes.append(erring)
     campaign = contents.recordings.get("campaign")
-    after = [poses[case] for case in ("extended", "compensated") if case in poses][:1]
-    unseen = campaign is not None and bool(after) and not set(after[0]) & set(_poses(campaign))
+    best = _best_of(poses)
+    unseen = campaign is not None and best is not None and not set(poses[best]) & set(_poses(campaign))
     accuracy = {case: row for case, row in accuracy.items() if row}
     return Numbers(errors, accuracy, unseen, returns, again, tuple(notes), tuple(missing))
+
+
+def _best_of(cases: Collection[str]) -> str | None:
+    """The case that stands for compensation: with what a diagnosis found, where that was tried."""
+    return next((case for case in ("extended", "compensated") if case in cases), None)
 
 
 def _poses(recording: Recording) -> list[tuple[float, ...]]:
@@ -128,7 +134,7 @@ def _where_no_joint_moves(
 ) -> list[str]:
     """How much of what compensation left no joint can take off: along directions that move the point by less than
     LEAST_WAY per metre or radian of any joint."""
-    case = next((case for case in ("extended", "compensated") if case in errors), None)
+    case = _best_of(errors)
     if case is None or where is None:
         return []
     machine, left = contents.machine, errors[case]

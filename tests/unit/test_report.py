@@ -439,6 +439,7 @@ def test_what_lies_where_no_joint_moves_the_point_is_said_to_stay(copy: Path) ->
     # the rail goes along x and the turntable about z: nothing lifts the point
     lifted = 1e3 * np.quantile(np.abs(numbers.errors["compensated"][:, 2]), 0.986)
     assert lifted - 0.01 < left <= numbers.accuracy["compensated"]["p98_6_mm"] + 0.01
+    assert left == pytest.approx(lifted, rel=0.02)
 
 
 def test_a_correction_that_made_it_worse_is_called_that(copy: Path) -> None:
