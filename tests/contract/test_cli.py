@@ -340,8 +340,7 @@ def test_plan_asks_whether_limits_of_many_turns_are_degrees(desk: Path) -> None:
 def test_answers_in_words_fit_a_terminal(desk: Path, tmp_path: Path) -> None:
     machine = ["--machine", desk / "machine.yaml"]
     for words in (
-        ["plan", "quick", "--machine", "pps"],
-        ["plan", "diagnosis", "--machine", "pps", "--visibility"],
+        ["plan", "quick", "--machine", "pps", "--visibility"],
         ["plan", "quick", "--machine", "pps", "--list"],
         ["identify", desk / "good.csv", *machine, "--out", tmp_path / "c.json"],
         ["evaluate", desk / "good.csv", *machine, "--calibration", desk / "cal.json"],

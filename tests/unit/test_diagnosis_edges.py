@@ -9,18 +9,18 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 import yaml
 
+from ppshw import diagnosis
 from ppshw.calibration import load_calibration
 from ppshw.cli import main
-from ppshw.diagnosis import diagnose
 from ppshw.identification.plausible import apart_from_each_other, noisier_than_stated
-from ppshw.machine import load_machine
-from ppshw.recording import load_recording
+from ppshw.machine import Machine, load_machine
+from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
 
 VISITS = 48
@@ -111,20 +111,17 @@ def test_a_known_reflector_that_was_knocked_is_no_noise(case: Case, tmp_path: Pa
     assert answer["noise_floor_mm"] < after < before / 1.5  # which is as the base model alone has it
 
 
-def test_what_needs_a_wrench_or_a_thermometer_is_not_spoken_of_without_them(case: Case, tmp_path: Path) -> None:
+def test_what_a_recording_lacks_is_not_spoken_of_or_said_to_be_guessed(case: Case, tmp_path: Path) -> None:
+    """No wrench and no thermometer: what goes with them is not spoken of. Directions that nobody wrote down are those
+    of the moves between visits, and times those of a usual pace, which is said."""
     forces = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-    case.without(lambda name: name in forces or name.startswith("temp_"))
+    case.without(lambda name: name in forces or name.startswith(("temp_", "approach_")) or name == "time")
     answer = answered(case, tmp_path)
     assert not {"thermal_growth", "wrench_error"} & effects(answer)
-    assert {"friction_hysteresis", "drift", "periodic_transmission"} <= effects(answer)
-
-
-def test_directions_that_nobody_wrote_down_are_those_of_the_moves_between_visits(case: Case, tmp_path: Path) -> None:
-    """And times are those of a usual pace, which is said."""
-    case.without(lambda name: name.startswith("approach_") or name == "time")
-    answer = answered(case, tmp_path)
-    assert {"backlash", "friction_hysteresis"} <= effects(answer)
-    assert answer["warnings"] == ["no column time: what goes with time is said in hours at 40 visits an hour"]
+    assert {"backlash", "friction_hysteresis", "drift", "periodic_transmission"} <= effects(answer)
+    loads, pace = answer["warnings"]
+    assert loads.startswith("nothing in columns Fx … Mz, though loads change")
+    assert pace == "no column time: what goes with time is said in hours at 40 visits an hour"
 
 
 def test_a_wrong_visit_and_a_wrong_column_are_said(case: Case, tmp_path: Path) -> None:
@@ -184,7 +181,9 @@ def test_a_tracker_that_stands_elsewhere_than_its_file_says_is_refused_as_by_ide
     assert not (tmp_path / "cal.json").exists()
 
 
-def test_what_a_corrected_run_wanted_is_no_covariate(case: Case, tmp_path: Path) -> None:
+def test_what_a_corrected_run_wanted_is_no_covariate(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     joints = [joint["name"] for joint in case.machine["joints"]]
     for name in joints:
         at = case.column(f"q_cmd_{name}")
@@ -195,8 +194,19 @@ def test_what_a_corrected_run_wanted_is_no_covariate(case: Case, tmp_path: Path)
     machine = load_machine(where[2])
     recording = load_recording(where[0], machine)
     assert set(recording.covariates) >= {f"wanted_{name}" for name in joints}
-    found = diagnose(machine, recording)
-    assert not any("wanted" in name for name in found.space.recording.covariates)
+    asked = []
+
+    class Enough(Exception):
+        pass
+
+    def first(_: Machine, of: Recording) -> NoReturn:
+        asked.append(of)
+        raise Enough
+
+    monkeypatch.setattr(diagnosis, "column_mistakes", first)
+    with pytest.raises(Enough):
+        diagnosis.diagnose(machine, recording)
+    assert not any("wanted" in name for name in asked[0].covariates)
 
 
 def test_too_few_visits_are_refused_with_their_number(

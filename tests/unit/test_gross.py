@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -132,11 +133,13 @@ def test_what_the_base_model_takes_of_a_finding_excuses_no_visit(aside: Workspac
 
 
 def test_a_good_visit_that_looked_wrong_beside_a_bad_one_comes_back(
-    bad: Workspace, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where nothing is found at last: good neighbours of a reading that was 17 m off stayed set aside."""
     monkeypatch.setattr(diagnosis, "gross_errors", lambda *_: GrossErrors(visits=(BAD, BAD + 1, BAD + 2)))
-    said = diagnose(bad.machine, bad.recording).answer["findings"]
+    machine, recording = clean_case(60533, "pps", 100, 80, tmp_path)
+    recording.points[BAD, :, 0] += OFF
+    said = diagnose(machine, recording).answer["findings"]
     assert [(f["effect"], f["region"], f["visits"]) for f in said] == [("outliers", [BAD + 1, BAD + 1], [BAD + 1])]
 
 

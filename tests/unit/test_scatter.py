@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -93,12 +94,14 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
     assert found.finding["covariate"] in ("move_yaw", "move length")
 
 
-def test_what_goes_with_two_joints_last_moves_is_no_scatter_though_it_looks_so(clean: Workspace) -> None:
+def test_what_goes_with_two_joints_last_moves_is_no_scatter_though_it_looks_so(tmp_path: Path) -> None:
+    machine, recording = clean_case(60533, "pps", 120, 100, tmp_path)
+    clean = prepare(machine, recording, np.ones(len(recording), dtype=bool))
     lateral, yaw = (clean.machine.joint_names.index(name) for name in ("lateral", "yaw"))
     moved = np.diff(clean.recording.q, axis=0, prepend=clean.recording.q[:1])
     both = moved[:, lateral] * moved[:, yaw]
     twist = clean.context.jacobian[:, :, lateral + 1, 3] * both[:, None]
-    twist *= 2e-4 / np.sqrt((twist**2).sum() / clean.recording.seen.sum())
+    twist *= 4e-4 / np.sqrt((twist**2).sum() / clean.recording.seen.sum())
     turned = clean.base.measuring_in_base[:3, :3]
     points = clean.recording.points + twist.reshape(clean.recording.points.shape) @ turned
     recording = replace(clean.recording, points=points)

@@ -711,7 +711,7 @@ def test_how_the_instrument_sees_a_reflector_is_said_in_the_recording_s_columns(
 def test_a_stiffness_is_described_beside_free_compliances_and_predicts_beside_those_expected(tmp_path: Path) -> None:
     """Held back, compliances make too much or too little of it; free, they predicted later visits worse than a
     calibration without it (sealed 43041, 43064)."""
-    make_case(72510, "arm6", "nonlinear_stiffness", 4.0, tmp_path / "case", tmp_path / "sealed", visits=180, fit=180)
+    make_case(72510, "arm6", "nonlinear_stiffness", 4.0, tmp_path / "case", tmp_path / "sealed", visits=80, fit=80)
     machine = load_machine(tmp_path / "case" / "machine.yaml")
     made = diagnose(machine, load_recording(tmp_path / "case" / "recording.csv", machine))
     said = next(f for f in made.answer["findings"] if f["effect"] == "nonlinear_stiffness")
