@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ppshw.diagnosis import columns as asked
-from ppshw.diagnosis.columns import _of_each_load, column_mistakes, doubts_of_gravity, plain_mistakes
+from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
+from ppshw.diagnosis.columns import moments as asked
+from ppshw.diagnosis.columns.moments import _of_each_load
 from ppshw.errors import RecordingError
 from ppshw.machine import WRENCH_COMPONENTS, Machine, load_machine
 from ppshw.recording import Recording, load_recording
