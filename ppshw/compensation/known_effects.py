@@ -9,25 +9,36 @@ must not be driven into it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ppshw.compensation.needs import (
+    BEFORE_IT,
+    BY_CLOCK_ALONE,
+    FROM_APPROACH,
+    FROM_WAY,
+    as_left,
+    by_clock,
+    joints_of,
+    looks_back,
+)
 from ppshw.compensation.past import Moment, Past, Signs, approach_of
+from ppshw.compensation.weighed import Weighed
 from ppshw.errors import CompensationRefused
 from ppshw.kinematics import frames
 from ppshw.machine import Machine
 from ppshw.model import Model
 from ppshw.quantities import called
 from ppshw.recording import Recording
-from ppshw.statics import gravity_in_sensor, link_wrenches, payload_at
+from ppshw.statics import link_wrenches, payload_at
 from ppshw.terms import Situation
 from ppshw.terms.earlier import SAME_LOAD_N
 from ppshw.terms.effect import UNNAMED, Effect, is_beyond
-from ppshw.terms.history import changed_at, hours_since_change, lagged, payloads, weighs
+from ppshw.terms.history import changed_at, hours_since_change, lagged
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.context import compliances
 from ppshw.terms.shapes.covariates import bump
@@ -35,24 +46,10 @@ from ppshw.terms.shapes.creep import OLDEST_LOAD_H
 from ppshw.terms.shapes.wrenches import expected_by
 
 Array = NDArray[np.float64]
-# Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
-BY_CLOCK_ALONE = frozenset({"clock", "step", "hopping", "settling"})
-CLOCK = BY_CLOCK_ALONE | {"clock_q"}
-AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
-                     "load_q", "load_near", "load_turn", "bearing", "load_power", "load_knee", "load_beyond",
-                     "load_side", "load_bump",
-                     "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair",
-                     "pair_waves", "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled",
-                     "scale", "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
-FROM_WAY = frozenset({"reversal", "turning", "slipping", "winding"})  # as far as a joint has gone since it turned back
-FROM_APPROACH = frozenset({"approach", "approach_q"}) | FROM_WAY
-BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording
 SAME = 5e-3  # [m, rad]
 GRID = 33  # moments over which a drift is averaged
 EVENLY = (1 / 6, 1 / 2, 5 / 6)  # of a temperature's range, where it may be anything in it
 FARTHER_K = 5.0  # that a thermometer may read beyond where effects were measured, or by as much as it ran through there
-ANOTHER_LOAD = 2.0  # times as far as the sensor ever read beside a load: another one under its label (a judgement)
-A_LITTLE = 0.01  # of the largest force or moment: what a setpoint's pose turns
 AT_ONCE_S = 0.1  # between what changes all at once and what was before it
 UNSAID_H = 0.5  # a load that nobody says the age of is taken to lie there for so long (a guess)
 
@@ -85,14 +82,14 @@ class KnownEffects:
     ) -> None:  # fmt: skip
         self.effects = tuple(effects)
         self._visits = visits
-        self._held: Array | None = None  # (N, 4) the payloads of these, once somebody asks
-        self._besides: Array | None = None  # (N, 6) what the sensor read beside them
+        self._weighed_then = None if visits is None else Weighed(model.machine, visits)
         self._seen_between = dict(temperature_range or {})
         self._model, self._theta = model, theta
         self._reference, self._measuring = dict(reference), measuring_in_base
         columns = [c for e in effects for c in e.columns]
-        self.looks_back = any(_looks_back(c) for c in columns)
-        self.sided = np.isin(np.arange(model.machine.n), _joints(columns, FROM_APPROACH))  # (n,) by the side come from
+        self.looks_back = any(looks_back(c) for c in columns)
+        # (n,) by the side come from
+        self.sided = np.isin(np.arange(model.machine.n), joints_of(columns, FROM_APPROACH))
         self._creeps = any(e.name == "creep" for e in effects)
         # only those ask for the links' compliances
         self._bends = any(c.on == "frames" and c.function not in ("unexplained", "instead") for c in columns)
@@ -126,10 +123,10 @@ class KnownEffects:
             return True, f"'{now.load}' weighs what it weighed while it was measured"
         if any(c.function == "hopping" for c in effect.columns):
             return True, "as at the recording's end; it hops, and where it is now cannot be known"
-        if _as_left(effect):
+        if as_left(effect):
             again = "homed" if effect.name == "zero_shift" else "tared"
             return True, f"as at the recording's end; whether it was {again} since cannot be known"
-        if any(_by_clock(c) for c in effect.columns):
+        if any(by_clock(c) for c in effect.columns):
             return False, "how far it has gone since it was measured cannot be known; taken as it was on average"
         if effect.name == "creep" and not past.known:
             return False, f"when the load was changed is not known; taken as {60 * UNSAID_H:.0f} min ago"
@@ -142,7 +139,7 @@ class KnownEffects:
                 return False, f"the temperature of {place} is not known; taken as its mean while measured"
         reserve = []
         winds = effect.name == "friction_hysteresis" and now.run_up is None
-        if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in _joints(effect.columns, FROM_WAY)):
+        if winds and any(all(m.q[j] == now.q[j] for m in past.moments) for j in joints_of(effect.columns, FROM_WAY)):
             reserve.append("how far the joint has gone since it turned back is not known; taken as far")
         if effect.name == "creep" and past.on_nothing:
             reserve.append("what lay there before is not known; taken as nothing")
@@ -237,7 +234,7 @@ class KnownEffects:
     def _ways(self, now: Moment, past: Past) -> Iterator[list[tuple[Moment, Past]]]:
         """Of each thing that effects ask for and nobody knows, what it may as well be."""
         columns = [c for e in self.effects if not e.of_instrument for c in e.columns]
-        for joint in (j for j in _joints(columns, FROM_APPROACH) if now.approach[j] == 0):
+        for joint in (j for j in joints_of(columns, FROM_APPROACH) if now.approach[j] == 0):
             yield [(_come_from(now, joint, side), _all_come_from(past, joint, side)) for side in (-1, 1)]
         places = {str(c.args["place"]) for c in columns if c.args.get("place")}
         for place in sorted(places - set(now.temperatures)):
@@ -250,7 +247,7 @@ class KnownEffects:
             was = [now.temperatures[place] + side * by for side in (-1.0, 0.0, 1.0)]
             yield [(now, self._was(now, past, place, celsius)) for celsius in was]
         first = past.moments[0] if past.moments else now
-        for joint in (j for j in _joints(columns, FROM_WAY) if now.approach[j] and not first.approach[j]):
+        for joint in (j for j in joints_of(columns, FROM_WAY) if now.approach[j] and not first.approach[j]):
             yield [(now, _all_come_from(past, joint, side)) for side in (-1, 1)]
         if self._creeps and not past.known:
             hours = self._reference.get("hours", 0.0)
@@ -309,19 +306,18 @@ class KnownEffects:
     def _loads(self, now: Moment) -> list[Array]:
         """What each of the loads that hung there while effects were measured would read at a moment, (6,) each; of a
         calibration that keeps none the same as does."""
-        if self._visits is None or not self._visits.has_wrench:
+        then = self._weighed_then
+        if then is None or self._visits is None or not self._visits.has_wrench:
             return [now.payload]
-        machine, visits = self.machine, self._visits
-        held = np.unique(self._payloads_of(visits), axis=0)
-        return list(weighs(held, gravity_in_sensor(machine, frames(machine, now.q[None]))))
+        return list(then.loads(now.q))
 
     def _at_any_moment(self, context: Context) -> list[Array]:
         """Deviations of what goes by the clock from its mean over the recording, per moment."""
         each = np.zeros((GRID, self.machine.n + 1, 6))
         for effect in self.effects:
             for column, value in zip(effect.columns, effect.values, strict=True):
-                stays = _as_left(effect) and column.function != "hopping"
-                follows = _by_clock(column) or column.args.get("name") == "time"
+                stays = as_left(effect) and column.function != "hopping"
+                follows = by_clock(column) or column.args.get("name") == "time"
                 if effect.of_instrument or not follows or stays or column.args.get("form") in BEFORE_IT:
                     continue
                 where = (column.frame, column.component) if column.on == "frame" else (slice(None), slice(None))
@@ -368,10 +364,10 @@ class KnownEffects:
             return self._weighed(context)
         if column.function in ("unexplained", "instead"):  # without them the base model stands as it is
             return np.zeros(() if column.on == "frame" else (self.machine.n + 1, 6))
-        if not _by_clock(column):
+        if not by_clock(column):
             return np.asarray(column.value(context)[-1])
         values = self._over_time(column, context)
-        return values[-1] if _as_left(effect) else np.asarray(values.mean(axis=0))
+        return values[-1] if as_left(effect) else np.asarray(values.mean(axis=0))
 
     def _weighed(self, context: Context) -> Array:
         """(n+1, 6) what is wrongly expected of a load that reads otherwise than it weighed while it was measured."""
@@ -385,37 +381,15 @@ class KnownEffects:
         """What a load that nobody weighed may make wrongly expected, (6, n+1, 6): by every channel as far as it read
         beside those that were."""
         of_sensor = next((e for e in self.effects if e.columns[0].function == "weighed"), None)
-        if of_sensor is None or self._visits is None or self._beside(now.load, now.q, now.payload) is not None:
+        then = self._weighed_then
+        if of_sensor is None or then is None or then.beside(now.load, now.q, now.payload) is not None:
             return []
-        far = np.sqrt((self._read_beside(self._visits) ** 2).mean(axis=0))
-        each = (expected_by(context, _at_last(context, one))[-1] for one in np.diag(far))
+        each = (expected_by(context, _at_last(context, one))[-1] for one in np.diag(then.usual()))
         return [of_sensor.values[0] * np.stack(list(each))]
 
     def _beside(self, load: str, q: Array, reading: Array) -> Array | None:
-        """(6,) what the sensor reads of a load beside what it weighed while effects were measured; None of one that
-        nobody knows, or that by its reading is another one of that label."""
-        visits = self._visits
-        if visits is None or not load or load not in visits.load:
-            return None
-        held = self._payloads_of(visits)[visits.load.index(load)]
-        beside = reading - weighs(held[None], gravity_in_sensor(self.machine, frames(self.machine, q[None])))[0]
-        most = np.repeat(np.abs(visits.wrench).max(axis=0).reshape(2, 3).max(axis=1), 3)
-        far = ANOTHER_LOAD * np.abs(self._read_beside(visits)).max(axis=0) + A_LITTLE * most
-        return beside if (np.abs(beside) < far).all() else None
-
-    def _read_beside(self, visits: Recording) -> Array:
-        """(N, 6) of the calibration's visits, worked out once."""
-        if self._besides is None:
-            gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
-            self._besides = np.asarray(visits.wrench - weighs(self._payloads_of(visits), gravity))
-        return self._besides
-
-    def _payloads_of(self, visits: Recording) -> Array:
-        """(N, 4) of the calibration's visits, worked out once."""
-        if self._held is None:
-            gravity = gravity_in_sensor(self.machine, frames(self.machine, visits.q))
-            self._held = payloads(visits.wrench, visits.load, gravity)
-        return self._held
+        """As `Weighed.beside`; None too of a calibration that keeps no visits."""
+        return None if self._weighed_then is None else self._weighed_then.beside(load, q, reading)
 
     def _on_frame(self, column: Column, values: Sequence[float]) -> Array:
         """(n+1, 6) with a value for each component that a Gaussian process moves."""
@@ -557,11 +531,6 @@ class KnownEffects:
         )
 
 
-def _joints(columns: Iterable[Column], functions: Collection[str]) -> list[int]:
-    """Joints that columns with these functions are of, in order."""
-    return sorted({int(c.args["joint"]) for c in columns if c.function in functions})
-
-
 def _come_from(moment: Moment, joint: int, side: int) -> Moment:
     """The same where it is not known from which side a joint came, had it come from this one."""
     approach = moment.approach.copy()
@@ -580,22 +549,6 @@ def _mean_bump(column: Column) -> float:
         return 0.0
     knots = [int(column.args[k]) for k in ("knot", "a", "b") if k in column.args]
     return float(np.prod([bump(ranks, k, count).mean() for k in knots]))
-
-
-def _as_left(effect: Effect) -> bool:
-    """Whether it jumped and stays so: a joint's zero, or that of one of the force sensor's channels."""
-    jumps = len(effect.columns) == 1 and effect.columns[0].args.get("time") == "step"
-    return effect.name == "zero_shift" or (effect.name == "wrench_error" and jumps)
-
-
-def _by_clock(column: Column) -> bool:
-    return column.function in CLOCK or bool(column.args.get("time"))
-
-
-def _looks_back(column: Column) -> bool:
-    if column.args.get("place") and float(column.args.get("tau", 0.0)) > 0:
-        return True
-    return column.function not in AT_ONCE and not _by_clock(column)
 
 
 def _at_last(context: Context, wrench: Array) -> Array:
