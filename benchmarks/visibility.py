@@ -35,7 +35,7 @@ from ppshw.diagnosis import diagnose
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.visibility import Sight, across, directions, displaced, evidence_of, least, sights
+from ppshw.diagnosis.visibility import Sight, across, directions, displaced, least, sights
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.kinematics import frames, point_jacobian, point_positions
 from ppshw.machine import Machine, load_machine
@@ -143,7 +143,7 @@ def detected(tried: Tried, found: list[Sight], noise: Array, enough: float) -> l
     out = []
     for sight in found:
         field = sight.seen_at * across(tried, directions(tried, np.array([sight.form])))
-        out.append(float((evidence_of(tried, sight.name, noise + field) >= enough).mean()))
+        out.append(float((tried.evidence_of(sight.name, noise + field) >= enough).mean()))
     return out
 
 

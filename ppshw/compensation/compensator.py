@@ -166,7 +166,7 @@ class Compensator:
     def _correct(
         self, wanted_tip: Array, nominal: Array, payload: Array, point: str, given: Circumstances
     ) -> Setpoints:
-        self._refuse_outside(nominal, payload)
+        self.refuse_outside(nominal, payload)
         start = nominal[None]
         now, past = self._moment(nominal, payload, given), given.past or Past()
         if self.known is not None:
@@ -175,7 +175,7 @@ class Compensator:
             past = self.known.loaded_for(now, given.loaded_for, given.start, given.before, given.lay_before)
         where = self.calibration.point(point)[None]
         q, left, now, at_odds = self._solved(wanted_tip, start, now, past, given, where[0])
-        self._refuse_correction(q[0], nominal)
+        self.refuse_correction(q[0], nominal)
         uncorrected = self._effected(replace(now, q=nominal), past, where).positions[0, 0]
         ideal = point_positions(self.machine, start, where)
         variance = self._variance(replace(now, q=q[0]), past, point)
@@ -275,12 +275,14 @@ class Compensator:
             variance += (moved**2).sum(axis=0) + (unknown**2).sum(axis=0)
         return np.asarray(variance)
 
-    def _refuse_outside(self, q: Array, payload: Array) -> None:
+    def refuse_outside(self, q: Array, payload: Array) -> None:
+        """Raises CompensationRefused for positions (n,) or a sensor's reading (6,) that no measurement covered."""
         outside = self.calibration.outside(q, payload, self.bounds.joints, self.bounds.loads)
         if outside:
             raise CompensationRefused(outside[0])
 
-    def _refuse_correction(self, corrected: Array, nominal: Array) -> None:
+    def refuse_correction(self, corrected: Array, nominal: Array) -> None:
+        """Raises CompensationRefused for setpoints (n,) farther from the nominal ones than the bounds, or beyond limits."""
         lower, upper = self.machine.limits()
         for k, joint in enumerate(self.machine.joints):
             change = abs(corrected[k] - nominal[k])

@@ -146,9 +146,9 @@ class FastCompensator:
 def _refusal(slow: Compensator, wanted: Array, payload: Array, solved: Array, left: Array) -> CompensationRefused:
     """The compiled code only says that it refused; Compensator's own checks say why."""
     try:
-        slow._refuse_outside(wanted, payload)
+        slow.refuse_outside(wanted, payload)
         if not np.abs(left).max() > 1e-5:
-            slow._refuse_correction(solved, wanted)
+            slow.refuse_correction(solved, wanted)
     except CompensationRefused as refusal:
         return refusal
     return CompensationRefused(f"the corrected pose cannot be reached: {amount(left)} are left")

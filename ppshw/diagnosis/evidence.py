@@ -12,12 +12,13 @@ Flachaire 2008), so that pose-dependent noise and the number of things tried are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from ppshw.diagnosis.laid import Laid, side_by_side
 from ppshw.diagnosis.library.candidate import Candidate, all_kept
@@ -221,6 +222,32 @@ class Tried:
 
         side_by_side(of_part, range(len(parts)))
         return out.T
+
+    def evidence_alone(self, scores: Array | Single) -> Array:
+        """(D, C) evidence given the base model alone, whatever was taken up since."""
+        alone = copy.copy(self)
+        alone._beside = self._info0
+        return alone.evidence(scores)
+
+    def evidence_of(self, name: Name, scores: Array) -> Array:
+        """(D,) evidence of one name alone, given the base model alone, for scores (D, K) of all columns."""
+        mine = self.name_of == self.names.index(name)
+        alone = copy.copy(self)
+        alone._batches, alone._beside = [], []
+        for batch, info in self._among(mine):
+            alone._batches.append(batch)
+            alone._beside.append(info)
+        return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + self.log_share[mine], axis=1))
+
+    def named(self) -> Iterator[tuple[Batch, Array]]:
+        """The candidates that have a name, and the information of each, given the base model alone."""
+        return self._among(~self._nameless[self.name_of])
+
+    def _among(self, some: NDArray[np.bool_]) -> Iterator[tuple[Batch, Array]]:
+        for batch, info in zip(self._batches, self._info0, strict=True):
+            inside = some[batch.which]
+            if inside.any():
+                yield replace(batch, which=batch.which[inside], columns=batch.columns[inside]), info[inside]
 
     def _evidence(self, info: Array, scores: Array) -> Array:
         """(C, D) for information (C, k, k) and scores (C, k, D): along the axes of the information each amplitude is a

@@ -11,16 +11,14 @@ with the strengths that it learnt.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import CHUNK, FIRST, LEAST_FIRST, LEAST_SHARE, Batch, Name, Tried
+from ppshw.diagnosis.evidence import CHUNK, FIRST, LEAST_FIRST, LEAST_SHARE, Name, Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.quantities import called
 
@@ -163,7 +161,7 @@ def least(tried: Tried) -> float:
     any residual.
     """
     rng = np.random.default_rng(NOISE_DRAWS)
-    chance = tried.by_name(evidence_alone(tried, tried.laid.of_noise(rng, NOISE_DRAWS).T)).max(axis=1)
+    chance = tried.by_name(tried.evidence_alone(tried.laid.of_noise(rng, NOISE_DRAWS).T)).max(axis=1)
     return max(LEAST_FIRST, float(np.quantile(chance, 1.0 - FIRST)))
 
 
@@ -183,7 +181,7 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     inner = np.diag(1.0 + more_free) - held @ held.T
     regained = np.linalg.solve(np.linalg.cholesky(inner), freed).T.astype(np.float32)
     seen, more = np.zeros(len(tried.candidates)), np.zeros((len(tried.candidates), 2))
-    for batch, info in _named(tried):
+    for batch, info in tried.named():
         seen[batch.which] = info.sum(axis=(1, 2))
         for at in range(0, len(batch.which), CHUNK):
             part = slice(at, at + CHUNK)
@@ -195,14 +193,6 @@ def _of_forms(tried: Tried) -> tuple[Array, Array]:
     # of a form of which rounding is all that is left nothing is seen; one that the search does not try, because a
     # single column of it is taken whole, may be found by another form of its name
     return np.where(seen > LEAST_SHARE * plain, seen, 0.0), np.clip(shares, 0.0, 1.0)
-
-
-def _named(tried: Tried) -> Iterator[tuple[Batch, Array]]:
-    """The candidates that have a name, and the information of each, given the base model alone."""
-    for batch, info in zip(tried._batches, tried._info0, strict=True):
-        mine = ~tried._nameless[tried.name_of[batch.which]]
-        if mine.any():
-            yield replace(batch, which=batch.which[mine], columns=batch.columns[mine]), info[mine]
 
 
 def _widths(tried: Tried) -> Array:
@@ -321,31 +311,11 @@ def across(tried: Tried, along: Array) -> Single:
     return tried.laid.product(tried.space.absorb(along.T)).T
 
 
-def evidence_alone(tried: Tried, scores: Array | Single) -> Array:
-    """(D, C) evidence given the base model alone, whatever was taken up since."""
-    alone = copy.copy(tried)
-    alone._beside = tried._info0
-    return alone.evidence(scores)
-
-
-def evidence_of(tried: Tried, name: Name, scores: Array) -> Array:
-    """(D,) evidence of one name alone, given the base model alone, for scores (D, K) of all columns."""
-    mine = tried.name_of == tried.names.index(name)
-    alone = copy.copy(tried)
-    alone._batches, alone._beside = [], []
-    for batch, info in zip(tried._batches, tried._info0, strict=True):
-        inside = mine[batch.which]
-        if inside.any():
-            alone._batches.append(replace(batch, which=batch.which[inside], columns=batch.columns[inside]))
-            alone._beside.append(info[inside])
-    return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + tried.log_share[mine], axis=1))
-
-
 def _needed(tried: Tried, names: NDArray[np.int64], scores: Single, enough: float) -> Array:
     """(F,) the score along each name's form at which the evidence of the name is enough for a first finding."""
     values = []
     for u in LOOKED_AT:
-        evidence = tried.by_name(evidence_alone(tried, u * scores))
+        evidence = tried.by_name(tried.evidence_alone(u * scores))
         values.append(evidence[np.arange(len(names)), names])
     one, two = LOOKED_AT
     finite = np.isfinite(values[0]) & np.isfinite(values[1])
@@ -364,7 +334,7 @@ def mimicked(tried: Tried, scores: Array | Single) -> Array:
     0 of what has no name.
     """
     out = np.zeros((len(scores), len(tried.names)))
-    for batch, info in _named(tried):
+    for batch, info in tried.named():
         g = scores[:, batch.columns].transpose(1, 2, 0)  # (C, k, F)
         rounding = 1e-6 * np.einsum("ckk->ck", info) + 1e-30
         inner = np.linalg.solve(info + rounding[:, :, None] * np.eye(info.shape[1]), g)

@@ -16,7 +16,6 @@ from ppshw.diagnosis.visibility import (
     aliases_of,
     directions,
     displaced,
-    evidence_of,
     least,
     mimicked,
     sights,
@@ -102,7 +101,7 @@ def test_the_size_said_is_the_rms_at_the_reflectors_of_the_field_that_is_found(t
 def test_evidence_of_one_name_is_that_among_all_names(tried: Tried) -> None:
     scores = np.random.default_rng(2).normal(size=(3, len(tried.scale)))
     every = tried.by_name(tried.evidence(scores))
-    alone = evidence_of(tried, ("creep", "yaw"), scores)
+    alone = tried.evidence_of(("creep", "yaw"), scores)
     assert alone == pytest.approx(every[:, tried.names.index(("creep", "yaw"))], rel=1e-9)
 
 
