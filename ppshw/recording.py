@@ -159,6 +159,36 @@ class Recording:
             load_age_s=None if self.load_age_s is None else self.load_age_s[rows],
         )
 
+    def followed_by(self, then: Recording) -> Recording:
+        """These visits and then those of another recording of the same machine; what only one of them has is nan in the
+        other. What is said of the whole, its source for one, is this one's."""
+        first, count = self, len(self)
+
+        def both(a: Mapping[str, Array], b: Mapping[str, Array], *per_visit: int) -> dict[str, Array]:
+            nan = [np.full((len(r), *per_visit), math.nan) for r in (first, then)]
+            return {k: np.concatenate([a.get(k, nan[0]), b.get(k, nan[1])]) for k in {**a, **b}}
+
+        ages = [np.full(len(r), math.nan) if r.load_age_s is None else r.load_age_s for r in (first, then)]
+        later = {place: tuple(count + k for k in at) for place, at in then.spikes.items()}
+        return replace(
+            first,
+            time=np.concatenate([first.time, then.time]),
+            step=first.step + then.step,
+            load=first.load + then.load,
+            q=np.concatenate([first.q, then.q]),
+            q_cmd=np.concatenate([first.q_cmd, then.q_cmd]),
+            approach=np.concatenate([first.approach, then.approach]),
+            settle_s=np.concatenate([first.settle_s, then.settle_s]),
+            wrench=np.concatenate([first.wrench, then.wrench]),
+            points=np.concatenate([first.points, then.points]),
+            extra_points=both(first.extra_points, then.extra_points, 3),
+            temperatures=both(first.temperatures, then.temperatures),
+            covariates=both(first.covariates, then.covariates),
+            copies=first.copies + tuple(count + k for k in then.copies),
+            spikes={k: first.spikes.get(k, ()) + later.get(k, ()) for k in {**first.spikes, **later}},
+            load_age_s=None if first.load_age_s is None and then.load_age_s is None else np.concatenate(ages),
+        )
+
 
 def columns_for(
     machine: Machine, places: Sequence[str] = (), extra_points: Sequence[str] = (), covariates: Sequence[str] = ()

@@ -174,7 +174,8 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
 
 
 def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) -> Recording:
-    """A recording and then blocks of visits, in its own columns; the air goes on from its last temperature."""
+    """A recording and then blocks of visits, in its own columns; thermometers go on from what they read last as the air
+    does, columns of other kinds stay at it."""
     q = np.concatenate([block.q for block in more])
     cases = [block.case for block in more for _ in block.q]
     last = recording.time[-1]
@@ -186,19 +187,15 @@ def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) 
     seen = np.ones((len(q), len(machine.targets)), dtype=bool)
     new = pretended(machine, ["separate"] * len(q), cases, q, signs, hours, 5.0, seen)
     later = hours * 3600.0 + (0.0 if math.isnan(last) else last)
-    air = new.temperatures["air"]
-    return replace(
-        recording,
-        time=np.concatenate([recording.time, np.full(len(q), np.nan) if math.isnan(last) else later]),
-        step=(*recording.step, *new.step), load=(*recording.load, *new.load),
-        q=np.concatenate([recording.q, q]), q_cmd=np.concatenate([recording.q_cmd, q]),
-        approach=np.concatenate([recording.approach, signs]),
-        settle_s=np.concatenate([recording.settle_s, new.settle_s]),
-        wrench=np.concatenate([recording.wrench, new.wrench]),
-        points=np.concatenate([recording.points, new.points]),
-        extra_points={}, covariates={},
-        temperatures={k: np.concatenate([t, t[-1] + air - air[0]]) for k, t in recording.temperatures.items()},
-    )  # fmt: skip
+    air = new.temperatures["air"] - new.temperatures["air"][0]
+    return recording.followed_by(
+        replace(
+            new,
+            time=np.full(len(q), np.nan) if math.isnan(last) else later,
+            temperatures={place: read[-1] + air for place, read in recording.temperatures.items()},
+            covariates={name: np.full(len(q), read[-1]) for name, read in recording.covariates.items()},
+        )
+    )
 
 
 # --- what competes --------------------------------------------------------------------------------------------------

@@ -282,7 +282,7 @@ class Compensator:
             raise CompensationRefused(outside[0])
 
     def refuse_correction(self, corrected: Array, nominal: Array) -> None:
-        """Raises CompensationRefused for setpoints (n,) farther from the nominal ones than the bounds, or beyond limits."""
+        """Raises CompensationRefused for setpoints (n,) farther from the nominal than the bounds, or beyond limits."""
         lower, upper = self.machine.limits()
         for k, joint in enumerate(self.machine.joints):
             change = abs(corrected[k] - nominal[k])

@@ -96,32 +96,10 @@ def _told_apart(earlier: Recording, recording: Recording) -> Recording:
 
 
 def _joined(first: Recording, then: Recording) -> Recording:
-    """One after the other; what only one of them has is nan in the other."""
-
-    def both(a: dict[str, Array], b: dict[str, Array]) -> dict[str, Array]:
-        nan = [np.full(len(first), math.nan), np.full(len(then), math.nan)]
-        return {k: np.concatenate([a.get(k, nan[0]), b.get(k, nan[1])]) for k in {**b, **a}}
-
-    ages = [np.full(len(r), math.nan) if r.load_age_s is None else r.load_age_s for r in (first, then)]
-    unseen = {k: np.full((len(first), 3), math.nan) for k in then.extra_points}
-    return replace(
-        then,
-        time=np.concatenate([first.time, then.time]),
-        step=first.step + then.step,
-        load=first.load + then.load,
-        q=np.concatenate([first.q, then.q]),
-        q_cmd=np.concatenate([first.q_cmd, then.q_cmd]),
-        approach=np.concatenate([first.approach, then.approach]),
-        settle_s=np.concatenate([first.settle_s, then.settle_s]),
-        wrench=np.concatenate([first.wrench, then.wrench]),
-        points=np.concatenate([np.full((len(first), *then.points.shape[1:]), math.nan), then.points]),
-        extra_points={k: np.concatenate([unseen[k], v]) for k, v in then.extra_points.items()},
-        temperatures=both(first.temperatures, then.temperatures),
-        covariates=both(first.covariates, then.covariates),
-        copies=tuple(len(first) + k for k in then.copies),
-        spikes={place: tuple(len(first) + k for k in at) for place, at in then.spikes.items()},
-        load_age_s=None if first.load_age_s is None and then.load_age_s is None else np.concatenate(ages),
-    )
+    """One after the other, of the first all but its readings; what is said of the whole is the second one's."""
+    unread = replace(first, points=np.full((len(first), *then.points.shape[1:]), math.nan), extra_points={})
+    whole = unread.followed_by(then)
+    return replace(whole, has_wrench=then.has_wrench, source=then.source, sha256=then.sha256, misspelt=then.misspelt)
 
 
 # --- in a calibration's file --------------------------------------------------------------------------------------

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from campaigns.design.separate import Separation, Wanted, _chosen, _Pair, _shown, _State, _worth, separate
+from campaigns.design.blocks import blocks
+from campaigns.design.separate import (
+    Separation,
+    Wanted,
+    _chosen,
+    _followed_by,
+    _Pair,
+    _shown,
+    _State,
+    _worth,
+    separate,
+)
 from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
-from campaigns.script import load_script
+from campaigns.script import EMPTY, load_script
 from ppshw.errors import CampaignError
 from ppshw.machine import Elastic, Machine, load_machine
-from ppshw.recording import load_recording
+from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
 from tests.unit.small_campaign import RANDOM, planned, positioner
 
@@ -188,6 +199,26 @@ def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_
     assert apart.why_none() == f"{said}; the forms most alike stay so (√λ 1.3): nothing written"
     apart = replace(found, rows=[{**r, "nearest": 6.1} for r in apart.rows])
     assert apart.why_none() == f"{said}: nothing written"
+
+
+def test_what_may_be_measured_next_goes_on_in_all_columns_of_a_recording(machine: Machine, sweeps: Plan) -> None:
+    """Ages of loads, which every run writes, and columns of other kinds had the command fall over (a reviewer's)."""
+    before = would_be(sweeps)
+    pressure = np.linspace(1007.0, 1009.0, len(before))
+    measured = before.points + np.random.default_rng(1).normal(scale=5e-5, size=before.points.shape)
+    ages = np.arange(1.0, len(before) + 1)
+    recording = replace(before, points=measured, load_age_s=ages, covariates={"pressure": pressure})
+    wanted = Wanted(machine, ("tracker_scale", "drift"), None, recording, 4, 1, "next", "a test")
+    block = blocks(machine, [EMPTY], [1], 1)[0]
+    after = _followed_by(recording, [block], machine)
+    for field in fields(Recording):
+        column = getattr(recording, field.name)
+        if hasattr(column, "__len__") and len(column) == len(recording):
+            assert len(getattr(after, field.name)) == len(recording) + len(block.q), field.name
+    assert after.covariates["pressure"].tolist() == [*pressure, *[1009.0] * len(block.q)]
+    assert after.load_age_s is not None
+    assert np.isnan(after.load_age_s[len(recording) :]).all()
+    assert {r["effect"] for r in separate(wanted).rows} == {"tracker_scale", "drift"}
 
 
 def test_where_a_recording_shows_an_effect_it_is_that_form_which_is_told_from_the_other(tmp_path: Path) -> None:
