@@ -56,7 +56,7 @@ def _error(found: Weighing) -> str:
         said = f"as if it were mounted {turned(first.form.columns, first.values)}"
     elif len(columns) <= FEW:
         numbers = [
-            f"{misread_name(args, again=len(columns) > 1)} {value:.3g} ± {std:.2g} {unit}".rstrip(" 1")
+            f"{misread_name(args, again=len(columns) > 1)} {value:.3g} ± {std:.2g} {unit}".removesuffix(" 1")
             for args, value, std, unit in zip(
                 columns, first.values, np.sqrt(np.diag(first.covariance)), map(misread_unit, columns), strict=True
             )

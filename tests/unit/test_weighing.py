@@ -16,7 +16,7 @@ from ppshw.diagnosis.jumps import jumps_of_zeros
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import Weighing, by_readings, reads_other, ruled_out, weigh
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.sensor_words import against_gravity, doubt
+from ppshw.diagnosis.sensor_words import _error, against_gravity, doubt
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.recording import Recording
 from ppshw.terms.shapes import Context
@@ -177,6 +177,9 @@ def test_what_weighing_says_is_told_with_the_channel_and_its_numbers(clean: Cont
     assert doubt(c).startswith("the force sensor reads other than what hangs there weighs, ")
     gains = against_gravity(reading(clean, gain(clean.recording)))
     assert gains.endswith("Fx_by_Fx 0.0997 ± 0.00092")  # a share has no unit
+    found = weighed(reading(clean, gain(clean.recording)))
+    first = replace(found.forms[0], covariance=np.array([[0.01**2]]))  # whose last digit is one
+    assert _error(replace(found, forms=(first, *found.forms[1:]))).endswith("Fx_by_Fx 0.0997 ± 0.01")
 
 
 def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> None:

@@ -9,12 +9,31 @@ import pytest
 
 from ppshw.calibration import load_calibration
 from ppshw.compensation import Bounds, Compensator
+from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import near_forms
-from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.found import Found, by_its_own_form, take_up
 from ppshw.diagnosis.modelled import _theta, extended
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.evaluation import residuals
 from tests.unit.search.by_hand import named, of_size
+
+
+def test_a_wave_s_amplitude_is_its_own_where_it_has_harmonics(space: Workspace) -> None:
+    """Without them in the fit a part of them was laid on it, by up to five of its standard deviations."""
+    waves = [k for k in named(space, "periodic_transmission") if k.joint == "yaw" and len(k.columns) == 2]
+    travel = float(np.ptp(space.recording.q[:, space.machine.joint_names.index("yaw")]))
+    candidate = min(waves, key=lambda k: abs(k.columns[0].args["period"] - travel / 9))
+    alike, (sine, cosine) = space.as_learnt(), candidate.columns
+    twice = replace(sine, args={**sine.args, "period": sine.args["period"] / 2})
+    moved = 1e-3 * sine.evaluate(space.context) + 4e-4 * twice.evaluate(space.context)
+    there = replace(alike, data=alike.data + moved)
+    tried = Tried(there, [candidate], 5e-5)
+    found = Found(0, (candidate.effect, candidate.joint), 1e-9, 50.0)
+    take_up(there, tried, [found])
+    values, covariance = by_its_own_form(there, candidate, found)
+    off = values - [1e-3, 0.0]
+    assert off @ np.linalg.solve(covariance, off) < 9.0
+    assert cosine.args["phase"] == "cos"
 
 
 def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
