@@ -151,7 +151,9 @@ def run_prove(
         if spec.name in lost and spec.name not in seals:
             continue
         try:
-            open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
+            truth = open_seal(seals.get(spec.name, ""), out / "sealed" / spec.name)
+            if spec.name not in lost:
+                _agrees(out / "scores" / f"{spec.name}.json", truth, out / "answers" / spec.name / "answer.json")
         except SealBroken as exc:
             lost[spec.name] = "; ".join([*filter(None, [lost.get(spec.name)]), str(exc)])
             broken.append(spec.name)
@@ -202,6 +204,17 @@ def _score(file: Path) -> Json:
         if isinstance(found, dict) and {"spec", "truth", "answer"} <= found.keys():
             return found
     raise BadInput(f"{file}: damaged, expected the score of a case; without the file the case is run again")
+
+
+def _agrees(file: Path, truth: Json, answer: Path) -> None:
+    """Raises SealBroken where a score's file tells of another truth than was sealed, or of another answer than lies
+    beside the case; its figures are what was worked out of both."""
+    score, sealed = _score(file), [{k: v for k, v in e.items() if k != "field_nm"} for e in truth["effects"]]
+    told = [{k: v for k, v in e.items() if k in of} for e, of in zip(score["truth"], sealed, strict=False)]
+    if told != sealed or len(score["truth"]) != len(sealed):
+        raise SealBroken(f"{file}: tells of another truth than was sealed")
+    if read_answer(answer) != score["answer"]:
+        raise SealBroken(f"{file}: tells of another answer than {answer}")
 
 
 def _published(out: Path) -> dict[str, str]:

@@ -475,6 +475,16 @@ def test_a_diagnosis_that_writes_its_own_truth_is_lost_and_so_is_a_truth_that_is
     assert re.search(broken, cheated["lost"][case.name])
     assert cheated["broken"] == [case.name]
     assert run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"] == {}
+    scores, answer = tmp_path / f"b/scores/{case.name}.json", tmp_path / f"b/answers/{case.name}/answer.json"
+    for file, before, after, said in (
+        (scores, '"known": true', '"known": false', f"{scores}: tells of another truth than was sealed"),
+        (answer, '"consistent"', '"unexplained"', f"{scores}: tells of another answer than {answer}"),
+    ):
+        sound = file.read_text()
+        file.write_text(sound.replace(before, after))
+        assert run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"][case.name] == said
+        file.write_text(sound)
+    assert run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"] == {}
     truth = tmp_path / "b/sealed" / case.name / "truth.json"
     truth.write_text(truth.read_text().replace("backlash", "drift"))
     assert re.search(broken, run_prove(tmp_path / "b", cases, says_nothing, workers=0)["lost"][case.name])
