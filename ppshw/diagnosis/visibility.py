@@ -48,15 +48,17 @@ class Alias:
 
     alike  the share of it that it shows too, ALIAS to 1
     apart  √λ of the rest: by how many standard deviations of noise this recording tells them apart, at that form's size
+    never  whether machines are known whose form of it nothing that is measured tells from that name's
     """
 
     name: Name
     alike: float
     apart: float
+    never: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         return {"effect": self.name[0], "joint": self.name[1], "alike": round(self.alike, 3),
-                "sqrt_lambda_apart": round(self.apart, 2)}  # fmt: skip
+                "sqrt_lambda_apart": round(self.apart, 2), "never_told_apart": self.never}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -215,12 +217,15 @@ def _rms(tried: Tried, form: int) -> float:
     return float(np.sqrt((displaced(tried, form) ** 2).sum() / readings))
 
 
-def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None) -> list[Alias]:
+def aliases_of(
+    tried: Tried, name: Name, form: int | None = None, coefficients: Array | None = None, never: Name | None = None
+) -> list[Alias]:
     """Names a form of which shows 90 % or more of what this one shows, given the base model alone.
 
     form          index of the candidate that stands for the name (a finding's `best`); None: the typical one
     coefficients  of the candidate's columns as fitted; None: all columns alike, at the rms at the reflectors that nine
                   of ten recordings show
+    never         a name that nothing tells from this one (`weights.as_well`), the first whatever a form of it shows
     returns       names other than the asked one, the likeliest to be mistaken first; the same effect at another joint
                   counts
     """
@@ -234,15 +239,18 @@ def aliases_of(tried: Tried, name: Name, form: int | None = None, coefficients: 
         field = scaled[0] @ tried.laid.rows(tried.index[form])
         strength = float(np.sqrt(max(field @ tried.space.absorb(field[:, None])[:, 0], 0.0)))
     alike = mimicked(tried, across(tried, directions(tried, np.array([form]), scaled)))[0]
-    return [
-        Alias(tried.names[b], float(alike[b]), strength * float(np.sqrt(1.0 - alike[b]))) for b in np.argsort(-alike)
-        if alike[b] > ALIAS and tried.names[b] != name and tried.names[b][0] != "nameless"
-    ]  # fmt: skip
+    out = [
+        Alias(other, float(share), strength * float(np.sqrt(1.0 - share)), other == never)
+        for other, share in zip(tried.names, alike, strict=True)
+        if other == never or (share > ALIAS and other != name and other[0] != "nameless")
+    ]
+    return sorted(out, key=lambda alias: (not alias.never, -alias.alike))
 
 
 def alias_words(name: Name, aliases: Sequence[Alias]) -> str:
     """What a finding's sentence says of its aliases; empty without."""
-    one, far = [a for a in aliases if a.apart < TOLD_APART], [a for a in aliases if a.apart >= TOLD_APART]
+    one = [a for a in aliases if a.never or a.apart < TOLD_APART]
+    far = [a for a in aliases if a not in one]
     out = f" This recording cannot tell it from {_listed(name, one)}." if one else ""
     if far:
         least = min(a.apart for a in far)

@@ -21,6 +21,8 @@ TEMPER = 300.0
 # However much a name is ahead of all others, what acts may be something that looks like it and has no name here: of 56
 # names that were given more than 0.95 in a deck of sealed cases (seed 9) six were wrong.
 OUTSIDE = 0.05
+NAMELESS: Name = ("nameless", None)
+MOST_NAMES = 5  # that are told besides
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
 # tilting joints, whose travel is short. What is taken up over half a per cent of a travel was called friction with 0.95
 # and 0.77 in two plays of the twenty-ninth author's; the shortest friction of ten authors and of six sealed decks,
@@ -62,13 +64,16 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         weights = np.exp(tempered - logsumexp(tempered))
         if f.name[0] != "nameless":
             weights = weights * (1 - OUTSIDE) + OUTSIDE * np.array([name[0] == "nameless" for name in tried.names])
-        f.weights = {tried.names[j]: float(weights[j]) for j in np.argsort(-weights)[:6]}
+        kept = [j for j in np.argsort(-weights).tolist() if tried.names[j] != NAMELESS][:MOST_NAMES]
+        f.weights = {tried.names[j]: float(weights[j]) for j in (*kept, tried.names.index(NAMELESS))}
     take_up(space, tried, found)
     for f in found:
         if (other := as_well(space, tried, f)) is not None:
             f.weights[other] = max(f.weights.get(other, 0.0), MAY_BE[other[0]] * f.weights[f.name])
+            free = f.weights.pop(NAMELESS)
             total = sum(f.weights.values())
-            f.weights = {name: w / total for name, w in sorted(f.weights.items(), key=lambda item: -item[1])}
+            f.weights = {name: w * (1.0 - free) / total for name, w in f.weights.items()} | {NAMELESS: free}
+        f.weights = dict(sorted(f.weights.items(), key=lambda item: -item[1]))
 
 
 def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:

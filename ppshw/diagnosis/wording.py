@@ -21,7 +21,7 @@ from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameter_names import rocks, shape_unit
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, scale_holds_at
 from ppshw.diagnosis.sensor_words import against_gravity, turned
-from ppshw.diagnosis.visibility import NEVER, TOLD_APART, Alias, alias_words, aliases_of
+from ppshw.diagnosis.visibility import NEVER, TOLD_APART, alias_words, aliases_of
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -64,9 +64,8 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         for (effect, joint), weight in weights.items()
         if (effect, joint) != found.name and weight >= LEAST_WEIGHT
     ]
-    aliases = [] if candidate.effect == "nameless" else aliases_of(tried, found.name, found.best, values)
-    if (other := as_well(space, tried, found)) is not None:
-        aliases = [Alias(other, 1.0, 0.0), *(alias for alias in aliases if alias.name != other)]
+    either = as_well(space, tried, found)
+    aliases = [] if candidate.effect == "nameless" else aliases_of(tried, found.name, found.best, values, either)
     return {
         "effect": candidate.effect,
         "joint": candidate.joint,

@@ -125,10 +125,16 @@ def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(spac
     """What it loses is more than an eighth of the way over which it builds up."""
     width = 0.02 * travel_of(space)
     there = moved_by(space, on_joint(space, "slipping", width=width), 6.0)
-    found, _ = look(there, ["friction_hysteresis", "backlash"], NAME)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     name, play = ("friction_hysteresis", NAME), ("backlash", NAME)
     assert found[0].name == name
     assert found[0].weights[play] == pytest.approx(MAY_BE["backlash"] * found[0].weights[name], rel=1e-6)
+    assert found[0].weights["nameless", None] >= 0.99 * OUTSIDE
+    said = finding(there, tried, found[0])
+    either = said["aliases"][0]
+    assert (either["effect"], either["never_told_apart"]) == ("backlash", True)
+    assert 0.0 < either["alike"] < 1.0 < either["sqrt_lambda_apart"]  # of the forms that are tried
+    assert "This recording cannot tell it from backlash" in said["sentence"]
 
 
 @pytest.mark.parametrize("form", [("slipping", "width"), ("winding", "way")])
