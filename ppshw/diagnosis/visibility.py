@@ -11,7 +11,7 @@ with the strengths that it learnt.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,6 +59,11 @@ class Alias:
     def as_dict(self) -> dict[str, Any]:
         return {"effect": self.name[0], "joint": self.name[1], "alike": round(self.alike, 3),
                 "sqrt_lambda_apart": round(self.apart, 2), "never_told_apart": self.never}  # fmt: skip
+
+
+def is_told_apart(alias: Mapping[str, Any]) -> bool:
+    """Of one in the answer (contract §4), whether this recording tells it from the finding's name."""
+    return not alias.get("never_told_apart") and bool(alias["sqrt_lambda_apart"] >= TOLD_APART)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameter_names import rocks, shape_unit
 from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, scale_holds_at
 from ppshw.diagnosis.sensor_words import against_gravity, turned
-from ppshw.diagnosis.visibility import NEVER, TOLD_APART, alias_words, aliases_of
+from ppshw.diagnosis.visibility import NEVER, alias_words, aliases_of, is_told_apart
 from ppshw.diagnosis.weights import as_well
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -123,12 +123,10 @@ def to_separate(said: Mapping[str, Any]) -> tuple[str, str, str | None] | None:
     """Of a finding: its effect, another one that it may well be, and the joint where both are (None: at several), as
     `ppshw plan --to-separate` takes them; None where nothing is left to separate: forms that are told apart already, or
     that no recording tells apart (`as_well`)."""
-    apart = {(k["effect"], k["joint"]): k["sqrt_lambda_apart"] for k in said["aliases"]}
+    known = {(k["effect"], k["joint"]): k.get("never_told_apart") or is_told_apart(k) for k in said["aliases"]}
     likely = [k for k in said["alternatives"] if k["weight"] >= WEIGHT_TOLD]
-    close = [k for k in said["aliases"] if k["sqrt_lambda_apart"] < TOLD_APART]
-    for rival in (*likely, *close):
-        far = apart.get((rival["effect"], rival["joint"]))
-        if (far is None or 0.0 < far < TOLD_APART) and rival["effect"] not in ("nameless", said["effect"]):
+    for rival in (*likely, *said["aliases"]):
+        if not known.get((rival["effect"], rival["joint"])) and rival["effect"] not in ("nameless", said["effect"]):
             same = rival["joint"] in (None, said["joint"])
             return said["effect"], rival["effect"], said["joint"] if same else None
     return None

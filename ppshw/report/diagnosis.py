@@ -19,7 +19,7 @@ from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Channel, Map, gradients
 from ppshw.diagnosis.parameters import is_of
 from ppshw.diagnosis.replicas import Compared, of_space
-from ppshw.diagnosis.visibility import NEVER, TOLD_APART
+from ppshw.diagnosis.visibility import NEVER, is_told_apart
 from ppshw.diagnosis.wording import how_rare, listed, plan_options, stand_ins, to_separate
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.errors import ReportError
@@ -211,8 +211,8 @@ def _rows(diagnosis: Diagnosis, said: dict[str, Any] | None) -> list[tuple[str, 
     rows += [(name.replace("_", " "), value_of(p)) for name, p in said["parameters"].items()][:8]
     others = [f"{_whose(a)} ({a['weight']:.3f})" for a in said["alternatives"]]
     rows.append(("could also be", ", ".join(others) or "nothing above 1 %"))
-    close = [a for a in said["aliases"] if a["sqrt_lambda_apart"] < TOLD_APART]
-    far = [f"{_whose(a)} ({a['sqrt_lambda_apart']:.0f} σ apart)" for a in said["aliases"] if a not in close]
+    close = [a for a in said["aliases"] if not is_told_apart(a)]
+    far = [f"{_whose(a)} ({a['sqrt_lambda_apart']:.0f} σ apart)" for a in said["aliases"] if is_told_apart(a)]
     rows.append(("not to be told from", ", ".join(map(_whose, close)) or "nothing here"))
     rows += [("nearly like it", ", ".join(far))] if far else []
     if apart := to_separate(said):

@@ -117,7 +117,8 @@ def test_visits_are_asked_for_where_a_finding_may_well_be_another_effect() -> No
     likely = of("friction_hysteresis", "yaw", weight=0.3)
     assert asked([likely], []) == ("backlash", "friction_hysteresis", "yaw")
     assert asked([likely], [far]) is None  # forms are told apart already: `plan` wrote nothing
-    assert asked([likely], [of("friction_hysteresis", "yaw", alike=1.0, sqrt_lambda_apart=0.0)]) is None  # `as_well`
+    never = of("friction_hysteresis", "yaw", alike=0.95, sqrt_lambda_apart=2.0, never_told_apart=True)
+    assert asked([likely], [never]) is None  # `as_well`
     assert asked([], [far, near]) == ("backlash", "friction_hysteresis", "yaw")
     assert asked([of("nameless", None, weight=0.3)], []) is None
     assert asked([of("drift", None, weight=0.05)], []) is None
