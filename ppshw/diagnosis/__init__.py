@@ -95,7 +95,7 @@ def diagnose(
         if not found or (again and still.visits == gross.visits):
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
-        before = [tried.candidates[f.best if f.was is None else f.was] for f in found]
+        before = [tried.candidates[f.best if f.was is None else f.was] for f in found if not f.read]
         clean = _without(space, tried, found)
         del tried  # its columns are most of the memory: the next look lays its own
         space = _learnt_without(machine, space, clean, gross, calming)

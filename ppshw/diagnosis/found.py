@@ -31,7 +31,7 @@ class Found:
     what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
     carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up;
     spread: standard deviations of its nonlinear parameters; pulled: what these make of its coefficients, as in
-    `parameters.pulled_along`."""
+    `parameters.pulled_along`; read: whether the force sensor's readings say so, whatever deflections do."""
 
     best: int
     name: Name
@@ -47,6 +47,7 @@ class Found:
     was: int | None = None
     spread: dict[str, float] = field(default_factory=dict)
     pulled: Array | None = field(default=None, compare=False)
+    read: bool = False
 
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""
@@ -92,7 +93,8 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
         candidate = tried.candidates[f.best]
         laid += [tried.value(c) for c in candidate.columns]
         many = min(1.0, FEW / len(candidate.columns))
-        prior += (many * PRIOR_SD * tried.unit / tried.scale[tried.index[f.best]]).tolist()
+        spread = many * PRIOR_SD * tried.unit / tried.scale[tried.index[f.best]]
+        prior += (np.minimum(spread, 1.0) if f.read else spread).tolist()  # what is read too much is no more than that
         for column in f.near:
             laid.append(tried.value(column))
             # what wanders does so with half the amplitude at twice the pace, like a random walk

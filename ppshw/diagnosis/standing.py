@@ -22,6 +22,7 @@ from ppshw.diagnosis.kinship import (
     winds_up,
 )
 from ppshw.diagnosis.library.sampled import within
+from ppshw.diagnosis.library.weighing import surely_misread
 from ppshw.diagnosis.shadows import SHADOW, goes_with_a_load, same_place
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
@@ -74,7 +75,7 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
     as much as with all its near forms: what any smooth function fits as well is something else. Of one effect that acts
     in several directions the loudest (when it was found) is asked, for all; where it stands the others do. What bears
     the name of one that was given up, for the same cause and saying no more, goes with it, and so does what the others
-    then explain."""
+    then explain. An error of the force sensor that its readings surely show stands."""
     given_up: dict[tuple[str, str], float] = {}
     freely = tried.names.index(("nameless", None))
     stand: set[Name] = set()
@@ -83,6 +84,9 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
         for f in sorted(found, key=lambda f: -f.first):
             cause = f.name[0], tried.candidates[f.best].covariate
             if f.name[0] == "nameless" or f.name in stand:
+                continue
+            if f.name[0] == "wrench_error" and surely_misread(space.context):  # whatever goes with a load as well
+                stand.add(f.name)
                 continue
             answer = _asked(space, tried, f, found, freely)
             if not answer.stands and f.p <= NAMED and (play := _as_play(tried, f, answer)) is not None:
@@ -101,7 +105,12 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             take_up(space, tried, found)
         if not given_up:
             return
-    for f in list(found):
+    drop_what_others_explain(space, tried, found)
+
+
+def drop_what_others_explain(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    """What says too little beside the other findings goes; what the force sensor's readings say stays."""
+    for f in [g for g in found if not g.read]:
         others = [g for g in found if g is not f]
         own, every = _by_itself(space, tried, f, others)[:2]
         if others and (own if f.name[0] == "nameless" else max(own, every)) < LEAST_FURTHER:

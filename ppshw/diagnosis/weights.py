@@ -44,6 +44,9 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """
     whole = explained(space, tried, found)
     for f in found:
+        if f.read:
+            f.weights = {f.name: 1.0 - OUTSIDE, NAMELESS: OUTSIDE}
+            continue
         pieces = pieces_of(f, found)
         others = [g for g in found if g is not f and g not in pieces]
         take_up(space, tried, [*others, *pieces])  # beside its further pieces a form is known best

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +15,23 @@ from scipy.spatial.transform import Rotation
 from ppshw import diagnosis
 from ppshw.diagnosis.jumps import jumps_of_zeros
 from ppshw.diagnosis.library.by_instrument import sensor_errors
-from ppshw.diagnosis.library.weighing import Weighing, by_readings, reads_other, ruled_out, weigh
+from ppshw.diagnosis.library.weighing import (
+    Weighing,
+    by_readings,
+    reads_other,
+    ruled_out,
+    surely_misread,
+    weigh,
+)
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.sensor_words import _error, against_gravity, doubt
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.recording import Recording
-from ppshw.terms.shapes import Context
+from ppshw.terms.history import weighs
+from ppshw.terms.shapes import Context, named_column
+from ppshw.terms.shapes.wrenches import gravity_at_sensor
 from tests.unit.clean_case import clean_case
+from tests.unit.search.by_hand import best_of, look
 
 Array = NDArray[np.float64]
 Reads = Callable[[Recording], Array]
@@ -92,6 +103,40 @@ def test_its_readings_alone_say_which_error_it_is(
     assert [column.args for column in first.form.columns] == [args]
     if value is not None:
         assert first.values[0] == pytest.approx(value, rel=0.01, abs=0.003)  # the base stands a few mrad askew
+
+
+def test_what_another_gravity_may_be_is_no_sure_error_of_the_sensor(clean: Context) -> None:
+    for reads in (zero, drift, gain, leak):
+        assert surely_misread(reading(clean, reads(clean.recording))), reads.__name__
+    assert not surely_misread(clean)
+    turned = Rotation.from_rotvec([0.03, 0.02, 0.0]).apply(clean.machine.gravity)
+    askew = replace(clean, machine=replace(clean.machine, gravity=turned))
+    assert reads_other(askew)
+    assert not surely_misread(askew)
+
+
+def test_what_other_payloads_under_one_label_may_be_is_no_sure_error_of_the_sensor(tmp_path: Path) -> None:
+    """On a positioner, which hardly tilts, they look like other zeros."""
+    machine, recording = clean_case(60533, "pps", 140, 120, tmp_path)
+    level = prepare(machine, recording, np.ones(len(recording), dtype=bool)).context
+    stays = named_column(level, "mounting").astype(int)
+    more = np.random.default_rng(4).uniform(0.0, 20.0, stays.max() + 1)[stays]  # kg
+    held = more[:, None] * np.array([1.0, 0.3, 0.1, 0.2])
+    others = reading(level, recording.wrench + weighs(held, gravity_at_sensor(level)))
+    others = replace(others, recording=replace(others.recording, load=tuple(np.where(stays % 2, "patient", "other"))))
+    assert reads_other(others)
+    assert not surely_misread(others)
+
+
+def test_what_readings_surely_show_is_found_whatever_deflections_say(space: Workspace) -> None:
+    """Of a sensor whose Fx was 300 N off nothing was said, as the base model's compliances had made up for it."""
+    there = replace(space, context=reading(space.context, leak(space.recording)))
+    found, tried = look(there, ["wrench_error"], "j2")
+    assert [(f.name, f.read) for f in found] == [(("wrench_error", None), True)]
+    assert found[0].weights == {("wrench_error", None): pytest.approx(0.95), ("nameless", None): pytest.approx(0.05)}
+    assert there.taken_prior.max() <= 1.0
+    assert not look(space, ["wrench_error"], "j2")[0]
+    assert best_of(tried, found[0]).columns[0].function == "weighed"
 
 
 def test_rivals_without_a_name_are_not_weighed_against_the_readings(
