@@ -26,6 +26,7 @@ from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
 COURSES = ("clock", "clock_q")  # functions that run on with time
+SLACK = 0.02  # of what a column ran through where effects were measured: so far beyond it nothing is said
 
 
 def residuals(recording: Recording, calibration: Calibration, refit_base: bool = False) -> Array:
@@ -229,12 +230,24 @@ def _identified(recording: Recording, calibration: Calibration) -> list[tuple[Id
 
 
 def _beyond(recording: Recording, calibration: Calibration) -> list[dict[str, Any]]:
-    """Per place whose temperature moves an effect: its range while that was measured, and the visits beyond it."""
+    """Per place whose temperature moves an effect, and per column of its own (cov_) that does: its range while that was
+    measured, and the visits beyond it."""
     moving = {place for effect in calibration.effects for place in effect.places}
-    out = []
+    out: list[dict[str, Any]] = []
     for place, (low, high) in calibration.temperature_range.items():
         here = recording.temperatures.get(place, np.zeros(0))
         visits = int(is_beyond(here, low, high).sum())
         if place in moving and visits:
             out.append({"temperature": place, "low_C": low, "high_C": high, "visits": visits})
+    known = {} if calibration.visits is None else calibration.visits.covariates
+    for column in dict.fromkeys(name for effect in calibration.effects for name in effect.over):
+        name = column.removeprefix("cov_")
+        here, there = recording.covariates.get(name, np.zeros(0)), known.get(name, np.zeros(0))
+        if not np.isfinite(there).any():
+            continue
+        low, high = float(np.nanmin(there)), float(np.nanmax(there))
+        slack = SLACK * (high - low)
+        visits = int(((here < low - slack) | (here > high + slack)).sum())
+        if visits:
+            out.append({"column": column, "low": low, "high": high, "visits": visits})
     return out

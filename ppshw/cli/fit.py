@@ -212,9 +212,13 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
     if outside := answer.get("outside"):
         lines.append(f"{outside_in_words(outside)}, carried on there")
     for b in answer.get("beyond", ()):
+        what, there = (
+            (b["temperature"], f"{b['low_C']:.1f} to {b['high_C']:.1f} °C") if "temperature" in b
+            else (b["column"], f"{b['low']:.6g} to {b['high']:.6g}")
+        )  # fmt: skip
         lines.append(
-            f"{many(b['visits'], 'visit')} with {b['temperature']} beyond the {b['low_C']:.1f} to "
-            f"{b['high_C']:.1f} °C at which effects were measured; carried on there"
+            f"{many(b['visits'], 'visit')} with {what} beyond the {there} at which effects were measured; carried on "
+            "there"
         )
     if held := answer.get("held_in_time"):
         lines.append(f"{many(held['visits'], 'visit')} so long before or after the calibration's own that nobody knows "

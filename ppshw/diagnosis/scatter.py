@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,7 +81,8 @@ def scatter_of(
         "effect": "unsettled", "joint": None, "frame": None, "component": None, "covariate": name,
         "region": None,
         "parameters": {"scatter_ratio": {"value": most / least, "std": std, "unit": "1"}},
-        "p_value": p, "rms_mm": None, "weight": round((1 - OUTSIDE) * float(1 / (1 - np.e * p * np.log(p))), 4),
+        "p_value": p, "rms_mm": 1e3 * math.sqrt(max(most**2 - least**2, 0.0)),
+        "weight": round((1 - OUTSIDE) * float(1 / (1 - np.e * p * np.log(p))), 4),
         "alternatives": [], "aliases": [],
         "sentence": f"the scatter {way} with {name} ({1e3 * most:.2g} mm rms in the fifth of the visits where it is "
         f"largest by that, {1e3 * least:.2g} where it is least): noise, not a bias.",

@@ -38,7 +38,8 @@ NEVER = 1.0  # a size [m] that is no answer
 ALIAS = 0.9
 OF_RULED_OUT = 48  # forms of the force sensor's error that stand for all, where its readings rule some out
 AT_A_TIME = 32  # names of which the scores of all columns are looked at: of all of them they are as much as the columns
-# √λ between two of them at which half of the recordings would say which (docs/prove.md, half power).
+# √λ at which a test of exactly the true form finds every other case, family-wise over 35 names, and at which half of
+# the recordings would say which of two it is (docs/prove.md, half power).
 TOLD_APART = 3.2
 
 

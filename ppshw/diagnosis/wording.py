@@ -42,7 +42,7 @@ ABOUT = 0.2
 NEARLY_TWICE = 0.2  # by which a component's error may differ from twice what it reads
 WEIGHT_TOLD = 0.1  # on the terminal
 LITTLE_SHOWS = 0.5  # of an effect's size: where a base calibration leaves less, that is said
-LEAST_P = 1e-12
+RAREST = 1e-12
 
 
 def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found] = ()) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def plan_options(one: str, other: str, joint: str | None) -> str:
 
 def how_rare(p: float) -> str:
     """A probability for the eye: nobody knows noise well enough to tell smaller ones apart."""
-    return f"{p:.1g}" if p >= LEAST_P else f"< {LEAST_P:.0e}"
+    return f"{p:.1g}" if p >= RAREST else f"< {RAREST:.0e}"
 
 
 def column_of(covariate: str) -> tuple[str, str]:

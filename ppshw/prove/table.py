@@ -10,9 +10,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import binomtest
 
+from ppshw.diagnosis.visibility import TOLD_APART
+
 Json = dict[str, Any]
 EDGES = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, np.inf)  # of √λ
-HALF_POWER = 3.2  # √λ at which a test of exactly the true form finds every other case, family-wise over 35 names
 # Visible strength of an effect: what is left of it once the base model is projected out; and what is left beside a base
 # model that its priors hold back, which is more.
 STRENGTHS = {"sqrt_lambda_free": "√λ after projection", "sqrt_lambda": "√λ beside priors"}
@@ -128,9 +129,9 @@ def _removed_bar(removed: Sequence[Json]) -> Json:
 def _with_what_is_left(bar: Json, amiss: Sequence[Json]) -> Json:
     """A bar that also says of how many of its answers that were not right nobody could have told by the recording."""
     left = [s.get("sqrt_lambda_left") for s in amiss]
-    bar["nobody_could_tell"] = sum(k is not None and k < HALF_POWER for k in left)
+    bar["nobody_could_tell"] = sum(k is not None and k < TOLD_APART for k in left)
     if amiss:
-        bar["text"] += f"; of the rest {bar['nobody_could_tell']} leave √λ < {HALF_POWER:g}"
+        bar["text"] += f"; of the rest {bar['nobody_could_tell']} leave √λ < {TOLD_APART:g}"
     return bar
 
 

@@ -290,6 +290,20 @@ def test_evaluate_counts_visits_at_temperatures_that_no_effect_was_measured_at(t
     assert said == [{"temperature": "rail", "low_C": 19.5, "high_C": 24.0, "visits": 4}]
 
 
+def test_evaluate_counts_visits_where_a_column_is_what_no_effect_was_measured_at(tmp_path: Path) -> None:
+    """A scale by the air's pressure was carried on to 25 hPa less without a word: 4.9 mm (a reviewer's)."""
+    plant, _ = base()
+    csv = simulate_recording_csv(plant, tmp_path / "r.csv", 9, np.random.default_rng(2), "mixed")
+    recording = load_recording(csv, load_machine(PPS))
+    then = replace(recording, covariates={"pressure": np.linspace(1007.6, 1009.2, 9), "oil": np.zeros(9)})
+    column = Column("points", "scale", {"name": "cov_pressure"})
+    calibration = replace(knowing("tracker_scale", None, column, 6e-5).calibration, visits=then)
+    assert evaluate(then, calibration.machine, calibration)["beyond"] == []
+    now = replace(then, covariates={"pressure": np.linspace(1008.0, 1010.0, 9), "oil": np.ones(9)})
+    said = evaluate(now, calibration.machine, calibration)["beyond"]
+    assert said == [{"column": "cov_pressure", "low": 1007.6, "high": 1009.2, "visits": 4}]
+
+
 def test_growth_that_lags_follows_what_the_thermometers_said_before() -> None:
     """After a jump of 2 K a lag of an hour has taken in 1 − 1/e of it an hour later (readings every two minutes)."""
     column = Column("frame", "temperature", {"place": "rail", "tau": 1.0}, VERTICAL + 1, TY)
