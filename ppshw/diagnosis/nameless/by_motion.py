@@ -21,6 +21,7 @@ from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 
 LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
+FLOATS_H = 0.04  # in which a carriage that floated up sinks again: some minutes
 SELDOM = 0.1  # share of what two joints' sides do together, by which of them there are many
 
 
@@ -87,8 +88,8 @@ def _goes_along(c: Context, frame: int) -> list[str]:
 
 
 def own_heat(c: Context) -> Iterator[Candidate]:
-    """A drive warms by its own work where no thermometer is."""
-    for (k, name), tau in itertools.product(moving_joints(c), LATE_H):
+    """A drive warms by its own work where no thermometer is; a carriage floats on the oil that it drags along."""
+    for (k, name), tau in itertools.product(moving_joints(c), (FLOATS_H, *LATE_H)):
         pace = f"late_{tau:g}_pace_{name}"
         for comp in range(6):
             args = {"first": pace, "second": f"q_{name}", "a": 0, "b": 0, "count": 1}

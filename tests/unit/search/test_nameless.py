@@ -46,6 +46,24 @@ def test_a_screw_s_wave_without_its_name_is_unexplained_over_its_joint(space: Wo
     assert 0.8e-4 < found[0].size < 1.2e-4
 
 
+def test_a_carriage_that_floats_up_as_it_moves_and_sinks_while_it_stands_is_unexplained(space: Workspace) -> None:
+    """An oil film's, saturating (another author's 49020): nothing was found of √λ 15."""
+    k = space.machine.joint_names.index("lateral")
+    went = np.abs(np.diff(space.recording.q[:, k], prepend=space.recording.q[0, k])) / float(
+        np.ptp(space.recording.q[:, k])
+    )
+    stood = np.diff(space.recording.time, prepend=space.recording.time[0])
+    film = np.zeros(len(went))
+    for visit in range(1, len(went)):
+        film[visit] = 1.0 - (1.0 - film[visit - 1] * np.exp(-stood[visit] / 180.0)) * np.exp(-went[visit] / 0.12)
+    there = replace(
+        space, data=space.data + of_size(space, space.context.jacobian[:, :, k + 1, 5] * film[:, None], 2.0)
+    )
+    found, tried = look(there, ["friction_hysteresis", "backlash", "cross_coupling"], "lateral")
+    assert [f.name for f in found] == [("nameless", None)]
+    assert "late_0.04_pace_lateral" in best_of(tried, found[0]).covariates
+
+
 @pytest.mark.parametrize(("width", "about", "size"), [(0.06, -0.3, 3e-4), (0.1, 0.1, 3e-4), (0.06, 0.1, 1e-3)])
 def test_a_dent_is_no_period_however_many_waves_make_it(
     space: Workspace, width: float, about: float, size: float
