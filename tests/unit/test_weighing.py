@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ppshw import diagnosis
+from ppshw.diagnosis import standing
+from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.jumps import jumps_of_zeros
 from ppshw.diagnosis.library.by_instrument import sensor_errors
 from ppshw.diagnosis.library.weighing import (
@@ -31,7 +34,7 @@ from ppshw.terms.history import weighs
 from ppshw.terms.shapes import Context, named_column
 from ppshw.terms.shapes.wrenches import gravity_at_sensor
 from tests.unit.clean_case import clean_case
-from tests.unit.search.by_hand import best_of, look
+from tests.unit.search.by_hand import best_of, look, named
 
 Array = NDArray[np.float64]
 Reads = Callable[[Recording], Array]
@@ -137,6 +140,21 @@ def test_what_readings_surely_show_is_found_whatever_deflections_say(space: Work
     assert there.taken_prior.max() <= 1.0
     assert not look(space, ["wrench_error"], "j2")[0]
     assert best_of(tried, found[0]).columns[0].function == "weighed"
+
+
+@pytest.mark.parametrize("sure", [True, False])
+def test_an_error_of_the_sensor_that_readings_surely_show_is_not_given_up(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, sure: bool
+) -> None:
+    """Any function of a load says as much of cross-talk that saturates, and is what is given in its place else."""
+    sensor = next(sensor_errors(space.context))
+    tried = Tried(space, [sensor, named(space, "nameless")[0]], 5e-5)
+    name = ("wrench_error", None)
+    monkeypatch.setattr(standing, "surely_misread", lambda _: sure)
+    monkeypatch.setattr(standing, "_asked", lambda *_: standing._Answer(9.0, 12.0, 1, False))
+    found = [Found(0, name, 1e-9, 9.0, first=9.0)]
+    standing.give_up(space, tried, found)
+    assert [f.name for f in found] == [name if sure else ("nameless", None)]
 
 
 def test_rivals_without_a_name_are_not_weighed_against_the_readings(

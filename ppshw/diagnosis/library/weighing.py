@@ -91,7 +91,8 @@ def _gravity_as_read(c: Context) -> Array:
     along = [gravity_at_sensor(replace(c, machine=replace(c.machine, gravity=axis))) for axis in np.eye(3)]
     pulls = (mass[:, None, None] * np.stack(along, axis=2)).reshape(-1, 3)
     found = np.linalg.lstsq(pulls, c.recording.wrench[:, :3].ravel(), rcond=1e-6)[0]
-    return np.asarray(size * found / max(float(np.linalg.norm(found)), 1e-9))
+    strength = float(np.linalg.norm(found))
+    return np.asarray(size * found / strength) if strength > 0.0 else c.machine.gravity
 
 
 def as_weighed(c: Context, candidates: Sequence[Candidate]) -> list[Candidate]:
