@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simulators.chain import COMPONENTS, Array
+from simulators.chain import Array
 from simulators.plant import Load, Plant, temperatures
+from simulators.recorded import ENCODER_SIGMA, FORCE_SIGMA, header, last_motion
 
 START = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
-FORCE_SIGMA = np.repeat([1.0, 0.3], 3)  # force sensor [N], [N m]; a guess for a sensor that takes 200 kg
-ENCODER_SIGMA = 1.0e-7
 SWEEP_LENGTH = 10  # visits in one pass of one joint
 PLANS = ("random", "sweeps", "mixed")
 
@@ -74,19 +73,14 @@ def write_visits(
     points = plant.true_points(q, applied, plant.draw_repeatability(visits, rng), names)
     measured = {k: p + noise * plant.position_sigma * rng.normal(size=p.shape) for k, p in points.items()}
     wrench = plant.wrench(q, applied) + noise * FORCE_SIGMA * rng.normal(size=(visits, 6))
-    approach = _approach(commanded, np.clip(0.0, plant.lower, plant.upper))
+    home = np.clip(0.0, plant.lower, plant.upper)
+    approach = last_motion(np.diff(commanded, axis=0, prepend=home[None]))
     settle = rng.uniform(2.0, 12.0, visits)
     seconds = np.cumsum(rng.uniform(55.0, 95.0, visits))
 
-    joints = plant.joint_names
-    header = ["time", "step", "load"]
-    header += [f"{kind}{name}" for kind in ("q_cmd_", "q_", "approach_") for name in joints]
-    header += ["settle_s", *COMPONENTS]
-    header += [f"{name}_{axis}" for name in measured for axis in "xyz"]
-    header += [f"temp_{place}_C" for place in temperatures(0.0)]
     with Path(out_csv).open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(header)
+        rows.writerow(header(plant.joint_names, measured, temperatures(0.0)))
         for v in range(visits):
             when = (START + timedelta(seconds=float(seconds[v]))).isoformat(timespec="milliseconds")
             rows.writerow(
@@ -132,13 +126,3 @@ def _turns(plant: Plant, plan: str, rng: np.random.Generator) -> Iterator[tuple[
             through[:, joint] = upward if rng.random() < 0.5 else upward[::-1]
             yield f"sweep:{plant.joint_names[joint]}", through
             joint = (joint + 1) % n
-
-
-def _approach(commanded: Array, home: Array) -> list[list[int]]:
-    """Direction of each joint's last motion: −1, 1, or 0 while it has not moved yet."""
-    last, before, rows = [0] * commanded.shape[1], home, []
-    for q in commanded:
-        last = [int(np.sign(b - a)) or old for a, b, old in zip(before, q, last, strict=True)]
-        rows.append(last)
-        before = q
-    return rows

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from simulators import truth
 from simulators.chain import Array, Chain
+from simulators.recorded import last_motion
 
 LOAD_CHANGE_S = 240.0
 EMPTY_SHARE = 0.2
@@ -64,7 +65,7 @@ def draw_campaign(chain: Chain, visits: int, rng: np.random.Generator) -> Campai
         load=[f"L{k}" for k in number],
         commanded=commanded,
         before=before,
-        approach=_approach(commanded - before),
+        approach=last_motion(commanded - before),
         time=time,
         settle=np.round(time_rng.uniform(2.0, 12.0, visits), 2),
         mass=mass,
@@ -123,16 +124,6 @@ def _loads(chain: Chain, visits: int, rng: np.random.Generator) -> tuple[NDArray
         number += [len(masses) - 1] * int(rng.integers(12, 30))
     which = np.array(number[:visits])
     return which, np.array(masses)[which], np.array(centres)[which]
-
-
-def _approach(moved: Array) -> NDArray[np.int64]:
-    """Direction of each joint's last motion: −1, 1, or 0 while it has not moved yet."""
-    out = np.zeros(moved.shape, dtype=np.int64)
-    last = np.zeros(moved.shape[1], dtype=np.int64)
-    for k, step in enumerate(moved):
-        last = np.where(step == 0.0, last, np.sign(step)).astype(np.int64)
-        out[k] = last
-    return out
 
 
 def _temperatures(time: Array, driven: Array, rng: np.random.Generator) -> dict[str, Array]:

@@ -15,16 +15,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simulators.chain import COMPONENTS, Array, read_chain
+from simulators.chain import Array, read_chain
 from simulators.concealed.campaign import Campaign, draw_campaign
 from simulators.concealed.catalogue import KNOWN, UNKNOWN, chosen
 from simulators.concealed.geometry import draw_machine, without_compliance
 from simulators.concealed.scene import Change, Concealed, Scene, rms
 from simulators.plant import Plant
+from simulators.recorded import ENCODER_SIGMA, FORCE_SIGMA, header
 
-FORCE_SIGMA = np.repeat([1.0, 0.3], 3)  # force sensor [N], [N m]; a guess for a sensor that takes 200 kg
 THERMOMETER_SIGMA = 0.02  # [K]
-ENCODER_SIGMA = 1.0e-7
 SEAL = "seal.sha256"
 TRUTH = "truth.json"
 CALIBRATED_TO = 0.003  # the asked size is met to this relative error
@@ -121,18 +120,13 @@ def _write_recordings(scene: Scene, changes: Sequence[Change], out: Path, fit: i
     points = scene.points(changes) + plant.position_sigma * rng.normal(size=(len(c), len(scene.targets), 3))
     wrench = scene.sensed(changes) + FORCE_SIGMA * rng.normal(size=(len(c), 6))
     warm = {k: t + THERMOMETER_SIGMA * rng.normal(size=len(t)) for k, t in c.temperature.items()}
-    joints = plant.joint_names
-    header = ["time", "step", "load"]
-    header += [f"{kind}{name}" for kind in ("q_cmd_", "q_", "approach_") for name in joints]
-    header += ["settle_s", *COMPONENTS, *(f"{t}_{axis}" for t in plant.targets for axis in "xyz")]
-    header += [f"temp_{place}_C" for place in warm] + [f"cov_{name}" for name in c.other]
     began = datetime(2026, 3, 2, 5, 0, tzinfo=UTC) + timedelta(seconds=int(rng.integers(0, 14 * 86400)))
     for name, rows in (("recording.csv", range(fit)), ("held_out.csv", range(fit, len(c)))):
         if not rows:
             continue
         with (out / name).open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
+            writer.writerow(header(plant.joint_names, plant.targets, warm, c.other))
             writer.writerows(_row(scene, c, v, points[v], wrench[v], warm, began) for v in rows)
 
 
