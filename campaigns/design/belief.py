@@ -55,17 +55,17 @@ class Belief:
 
 def typical(machine: Machine, visits: int, point: Array) -> Belief:
     """A machine that nobody has measured yet; point (3,) of interest in the end-effector frame [m]."""
-    model = _model(machine, visits)
-    strengths = np.array([_typical_strength(p) for p in model.parameters()])
-    noise = _claimed_noise(machine, point)
-    return Belief(model, np.zeros(len(strengths)), _free_base(model, strengths), noise, "a typical machine")
+    return _typical(_model(machine, visits), point)
 
 
 def typical_of(machine: Machine, recording: Recording, point: Array) -> Belief:
     """The same with the model that a recording of just these visits would be given."""
-    model = joint_model(machine, recording)
+    return _typical(joint_model(machine, recording), point)
+
+
+def _typical(model: Model, point: Array) -> Belief:
     strengths = np.array([_typical_strength(p) for p in model.parameters()])
-    noise = _claimed_noise(machine, point)
+    noise = _claimed_noise(model.machine, point)
     return Belief(model, np.zeros(len(strengths)), _free_base(model, strengths), noise, "a typical machine")
 
 

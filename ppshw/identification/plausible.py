@@ -31,9 +31,9 @@ GROSS, GROSS_M = 20.0, 0.05
 # What a sensor may read with nothing on it, by its zero and its noise, says nothing of signs and units: ours, 2 kg and
 # those a quarter of a metre off.
 LOADED_N, LOADED_NM = 20.0, 5.0
+KELVIN_C, FAHRENHEIT_C = 200.0, 45.0  # no machine is measured so warm, and in no air so warm
 # A wrench off by 20 times the median of its load label, and by more than that, is misread: single rows of many, or the
 # label is of several loads.
-KELVIN_C, FAHRENHEIT_C = 200.0, 45.0  # no machine is measured so warm, and in no air so warm
 SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer visits cannot tell
 # Noise at the reflectors of 110 recordings with all their columns was 0.9 to 4.1 times the stated repeatability's rms.
 NOISIER = 6.0
