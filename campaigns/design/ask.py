@@ -16,7 +16,10 @@ from campaigns.plan import Plan, plan_campaign
 from campaigns.script import EMPTY, Script, load_script
 from ppshw.calibration import Calibration
 from ppshw.errors import CampaignError
+from ppshw.identification import identify
+from ppshw.identification.joint import Estimate
 from ppshw.machine import Machine
+from ppshw.quantities import many
 from ppshw.recording import Recording
 from ppshw.whole_file import write_text
 
@@ -31,7 +34,8 @@ HARDLY = 0.02
 @dataclass(frozen=True)
 class Question:
     """visits, accuracy [m]: one of them, or neither after a recording; loads: a script whose load cases are there to be
-    put on, None: those of the recording, or what is usual; point: where accuracy counts, default `where_it_counts`."""
+    put on, None: those of the recording, or what is usual; point: where accuracy counts, default `where_it_counts`;
+    estimate: of the recording."""
 
     machine: Machine
     visits: int | None
@@ -44,6 +48,7 @@ class Question:
     seed: int
     name: str
     asked: str
+    estimate: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,8 @@ def answer(question: Question, out: Path, progress: Callable[[str], Progress] | 
     about = question.visits or (ABOUT if recording is None else len(recording) // 2)
     information = None
     if recording is not None:
-        known = known_from(machine, recording, about, progress("identify"))
+        estimate = question.estimate or identify(machine, recording, progress=progress("identify"))
+        known = known_from(recording, estimate, about)
         belief, information = known.belief, known.information
     else:
         belief = _belief(question, about)
@@ -118,9 +124,10 @@ def _now(question: Question, designer: Designer, numbers: dict[str, Any], lines:
     recording = question.after
     assert recording is not None
     model, both = designer.posterior().accuracy()
-    numbers["now"] = {"visits": len(recording), "model_p98_6_mm": 1e3 * model, "with_noise_p98_6_mm": 1e3 * both}
+    visits = int(recording.measured.sum())
+    numbers["now"] = {"visits": visits, "model_p98_6_mm": 1e3 * model, "with_noise_p98_6_mm": 1e3 * both}
     lines.append(
-        f"after {len(recording)} visits: 98.6 % at {designer.request.point} predicted {1e3 * both:.3f} mm "
+        f"after {many(visits, 'visit')}: 98.6 % at {designer.request.point} predicted {1e3 * both:.3f} mm "
         f"with noise, {1e3 * model:.3f} mm of the model ({1e3 * designer.floor:.3f} mm of noise alone)"
     )
     if question.accuracy is None:

@@ -45,8 +45,11 @@ class Block:
         return out
 
 
-def blocks(machine: Machine, cases: Sequence[LoadCase], joints: Sequence[int], seed: int) -> list[Block]:
-    """Candidates for effects of some joints; `cases`: what may be put on, the empty machine first."""
+def blocks(
+    machine: Machine, cases: Sequence[LoadCase], joints: Sequence[int], seed: int, in_parts: bool = True
+) -> list[Block]:
+    """Candidates for effects of some joints; `cases`: what may be put on, the empty machine first; in_parts: and parts
+    of it."""
     rng = np.random.default_rng([seed, 815])
     low, high = machine.limits()
     empty = cases[0] if cases[0].mass == 0 else replace(cases[0], name="empty", mass=0.0, com=(0.0, 0.0, 0.0))
@@ -58,7 +61,7 @@ def blocks(machine: Machine, cases: Sequence[LoadCase], joints: Sequence[int], s
     for k in joints:
         found += _of_joint(machine, empty, k, anywhere, rng)
     for case in cases:
-        parts = PARTS if case.mass > 0 else (1.0,)
+        parts = PARTS if case.mass > 0 and in_parts else (1.0,)
         for part in parts:
             some = case if part == 1.0 else replace(case, name=f"{case.name}-{part:g}", mass=round(part * case.mass, 1))
             said = f"random poses, {some.name}"

@@ -40,6 +40,7 @@ from ppshw.diagnosis.visibility import thinned
 from ppshw.diagnosis.workspace import caution_of, prepare
 from ppshw.errors import CampaignError
 from ppshw.identification import identify
+from ppshw.identification.joint import Estimate
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms import Situation
@@ -62,7 +63,8 @@ AS_FOUND, AT_UNIT = "as found", "at 1 × repeatability"
 @dataclass(frozen=True)
 class Wanted:
     """effects: two names of the contract's table; joint: only there, None: every joint that has both; so_far: a
-    recording, or a plan; visits: at most so many more; loads: what can be put on, None: what so_far has."""
+    recording, or a plan; visits: at most so many more; loads: what can be put on, None: what so_far has, and parts of
+    it; estimate: of the recording."""
 
     machine: Machine
     effects: tuple[str, str]
@@ -73,6 +75,7 @@ class Wanted:
     name: str
     asked: str
     loads: tuple[LoadCase, ...] | None = None
+    estimate: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,6 @@ class Separation:
     rows: list[dict[str, Any]]
     blocks: tuple[Block, ...]
     text: str
-    seconds: float
     of: str
 
     def why_none(self) -> str:
@@ -119,7 +121,7 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
     shown = {} if isinstance(wanted.so_far, Plan) else _shown(wanted, recording)
     asked = {wanted.joint} if wanted.joint else {joint for _, joint in shown if joint} or set(machine.joint_names)
     which = [k for k, name in enumerate(machine.joint_names) if name in asked]
-    offered = blocks(machine, cases, which, wanted.seed)
+    offered = blocks(machine, cases, which, wanted.seed, in_parts=wanted.loads is None)
     whole = _followed_by(recording, offered, machine)
     theta = belief.theta + springs(belief.model, belief.strengths)
     now, rich = (Context.of(belief.model, theta, r, machine.tracker.frame) for r in (recording, whole))
@@ -149,9 +151,8 @@ def separate(wanted: Wanted, progress: Progress | None = None) -> Separation:
          "before": pair.strength(before.s), "after": pair.strength(after.s), "nearest": float(least)}
         for pair, least in zip(pairs, nearest, strict=True)
     ]  # fmt: skip
-    seconds = float(sum(block.seconds(machine).sum() for block in picked))
     of = AS_FOUND if shown else AT_UNIT
-    return Separation(table, picked, _script(wanted, picked, table, of), seconds, of)
+    return Separation(table, picked, _script(wanted, picked, table, of), of)
 
 
 # --- what is known so far -------------------------------------------------------------------------------------------
@@ -165,7 +166,7 @@ def _so_far(wanted: Wanted) -> tuple[Recording, Belief, list[LoadCase], float]:
         cases = list(known.script.loads)
     else:
         recording = known.subset(known.measured)
-        found = identify(machine, recording)
+        found = wanted.estimate or identify(machine, recording)
         belief = learnt(found.model.machine, len(recording), found.groups, found.noise, recording.source)
         cases = measured_with(recording, machine) or list(loads_for(machine, point, None, None)[1])
     cases = list(wanted.loads or cases)

@@ -1,6 +1,6 @@
 """After a recording: what is known now, whether it is enough, what to measure next.
 
-The recording is identified; its learnt prior strengths and noise replace the guesses, and its visits, laid out over the
+What an estimate learnt of a recording, prior strengths and noise replace the guesses, and its visits, laid out over the
 joints' whole travel, are what is known. The next visits are then designed as the first ones were.
 """
 
@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaigns.design.belief import Belief, learnt, white_rows
-from ppshw.identification import identify
-from ppshw.identification.joint import Progress
-from ppshw.machine import Machine
+from ppshw.identification.joint import Estimate
+from ppshw.quantities import many
 from ppshw.recording import Recording
 from ppshw.terms import Situation
 
@@ -28,14 +27,14 @@ class Known:
 
     belief: Belief
     information: Array
-    visits: int
 
 
-def known_from(machine: Machine, recording: Recording, more: int, progress: Progress | None = None) -> Known:
-    """Identify a recording; `more` visits are to come (how fine the model may become)."""
-    estimate = identify(machine, recording, progress=progress)
-    made = len(recording)
-    origin = f"what {made} visits ({recording.source.rsplit('/', 1)[-1]}, {recording.sha256[:12]}) have shown"
+def known_from(recording: Recording, estimate: Estimate, more: int) -> Known:
+    """What the estimate of a recording says; `more` visits are to come (how fine the model may become)."""
+    made, measured = len(recording), int(recording.measured.sum())
+    origin = (
+        f"what {many(measured, 'visit')} ({recording.source.rsplit('/', 1)[-1]}, {recording.sha256[:12]}) have shown"
+    )
     belief = learnt(estimate.model.machine, made + more, estimate.groups, estimate.noise, origin)
     size = len(belief.strengths)
     information = np.zeros((size, size))
@@ -47,4 +46,4 @@ def known_from(machine: Machine, recording: Recording, more: int, progress: Prog
             rows = white_rows(belief, Situation.of(part), weights=estimate.weights[some], seen=part.seen)
             flat = rows.reshape(-1, size)
             information += flat.T @ flat
-    return Known(belief, information, made)
+    return Known(belief, information)

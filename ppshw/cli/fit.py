@@ -30,7 +30,7 @@ from ppshw.quantities import many
 
 if TYPE_CHECKING:
     from ppshw.calibration import Calibration
-    from ppshw.identification.joint import Estimate
+    from ppshw.identification.joint import Estimate, Progress
     from ppshw.machine import Machine
     from ppshw.recording import Recording
 
@@ -42,10 +42,7 @@ NO_BETTER = 1.05  # times what the ideal machine leaves; a fit that leaves more 
 def identify(a: argparse.Namespace) -> None:
     import time
 
-    from ppshw.calibration import Calibration
-    from ppshw.identification import identify as run
     from ppshw.identification.ambiguity import ambiguities, summary
-    from ppshw.identification.joint import believable
     from ppshw.identification.noise import pose_rank
     from ppshw.recording import load_recording
 
@@ -53,14 +50,13 @@ def identify(a: argparse.Namespace) -> None:
     out = new_file("json", a.out, a.rec, machine.file)
     recording = load_recording(a.rec, machine)
     began = time.perf_counter()
-    with columns_named(machine, recording):
-        with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
-            estimate = run(machine, recording, a.method, lambda k, n: bar("identify", k, n))
-        ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
-        told = [each.as_dict(machine) for each in ambiguous]
-        calibration = replace(Calibration.of(estimate, recording, a.method), ambiguous=tuple(told))
-        fit = _figures_of_the_fit(a.rec, machine, recording.subset(believable(estimate.weights)), calibration)
-    warnings = _warnings(machine, recording, estimate, calibration, fit)
+    with Bar() as bar, bar.expect("identify", len(recording) / STEPWISE_PER_S if a.method == "paper" else 0.0):
+        estimate, calibration, fit, warnings = fitted(
+            a.rec, machine, recording, a.method, lambda k, n: bar("identify", k, n)
+        )
+    ambiguous = [] if a.method == "paper" else ambiguities(estimate, recording)
+    told = [each.as_dict(machine) for each in ambiguous]
+    calibration = replace(calibration, ambiguous=tuple(told))
     calibration.save(out)
     warn(a.rec, warnings)
     spread = np.sqrt(np.diag(calibration.noise.pose))
@@ -86,6 +82,22 @@ def identify(a: argparse.Namespace) -> None:
     say(a, answer, folded(_identified(answer, summary(ambiguous))))
 
 
+def fitted(
+    source: str | Path, machine: Machine, recording: Recording, method: str, progress: Progress
+) -> tuple[Estimate, Calibration, dict[str, float], list[str]]:
+    """The estimate of a recording, its calibration, what it leaves, and what there is to ask about. Raises
+    IdentificationFailed where it leaves more than the ideal machine does."""
+    from ppshw.calibration import Calibration
+    from ppshw.identification import identify as run
+    from ppshw.identification.joint import believable
+
+    with columns_named(machine, recording):
+        estimate = run(machine, recording, method, progress)
+        calibration = Calibration.of(estimate, recording, method)
+        fit = _figures_of_the_fit(source, machine, recording.subset(believable(estimate.weights)), calibration)
+    return estimate, calibration, fit, _warnings(machine, recording, estimate, calibration, fit)
+
+
 def _set_aside(recording: Recording, estimate: Estimate) -> NDArray[np.int64]:
     """Visits that were measured and that the fit does not believe, from 0."""
     from ppshw.identification.joint import believable
@@ -94,7 +106,7 @@ def _set_aside(recording: Recording, estimate: Estimate) -> NDArray[np.int64]:
 
 
 def _figures_of_the_fit(
-    name: Path, machine: Machine, believed: Recording, calibration: Calibration
+    name: str | Path, machine: Machine, believed: Recording, calibration: Calibration
 ) -> dict[str, float]:
     """Refused where the fit leaves more than the ideal machine does."""
     from ppshw.errors import IdentificationFailed

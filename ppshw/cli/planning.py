@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ppshw.cli.answers import new_file, say, warn
 from ppshw.cli.arguments import machine_of
@@ -12,6 +12,11 @@ from ppshw.errors import BadInput
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
 from ppshw.whole_file import written_whole
+
+if TYPE_CHECKING:
+    from ppshw.identification.joint import Estimate
+    from ppshw.machine import Machine
+    from ppshw.recording import Recording
 
 
 def plan(a: argparse.Namespace) -> None:
@@ -96,17 +101,30 @@ def _designed(
     seed = _SEED if a.seed is None else a.seed
     words = " ".join(f"{key.replace('_', '-')} {Path(str(v)).name if key != '--accuracy' else f'{v * 1e3:g}mm'}"
                      for key, v in asked.items() if key not in ("--out", "--seed"))  # fmt: skip
-    question = Question(
-        machine, a.visits, a.accuracy,
-        None if a.after is None else load_recording(a.after, machine),
-        None if a.calibration is None else load_calibration(a.calibration, machine),
-        None if a.loads is None else load_script(a.loads),
-        a.load_cases, a.point, seed, out.stem, f"ppshw plan {words} --seed {seed}",
-    )  # fmt: skip
+    recording = None if a.after is None else load_recording(a.after, machine)
+    calibration = None if a.calibration is None else load_calibration(a.calibration, machine)
+    loads = None if a.loads is None else load_script(a.loads)
     with Bar() as bar, written_whole(out, may_be_missing=True) as partial:
+        estimate = None if recording is None else _identified(a, machine, recording, answer, bar)
+        question = Question(
+            machine, a.visits, a.accuracy, recording, calibration, loads, a.load_cases, a.point, seed, out.stem,
+            f"ppshw plan {words} --seed {seed}", estimate,
+        )  # fmt: skip
         found = design(question, partial, lambda stage: lambda k, n: bar(stage, k, n))
     answer.update(found.numbers, out=None if found.plan is None else a.out)
     return found.plan, [*found.lines, *([] if found.plan is None else [a.out])]
+
+
+def _identified(
+    a: argparse.Namespace, machine: Machine, recording: Recording, answer: dict[str, Any], bar: Bar
+) -> Estimate:
+    """What --after shows, refused and doubted as `identify` does."""
+    from ppshw.cli.fit import fitted
+
+    estimate, *_, warnings = fitted(a.after, machine, recording, "joint", lambda k, n: bar("identify", k, n))
+    warn(a.after, warnings)
+    answer["warnings"] = [*answer["warnings"], *warnings]
+    return estimate
 
 
 def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> None:
@@ -138,19 +156,20 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     words += f" --loads {Path(a.loads).name}" if a.loads else ""
     words += f" {'' if a.after is None else '--after '}{Path(a.after or a.campaign).name} --seed {seed}"
     with Bar() as bar:
-        found = separate(
-            Wanted(machine, (effects[0], effects[1]), a.joint, so_far, a.visits, seed, out.stem, words, loads),
-            lambda k, n: bar("candidates", k, n),
+        estimate = None if a.after is None else _identified(a, machine, so_far, answer, bar)
+        wanted = Wanted(
+            machine, (effects[0], effects[1]), a.joint, so_far, a.visits, seed, out.stem, words, loads, estimate
         )
+        found = separate(wanted, lambda k, n: bar("candidates", k, n))
     visits = sum(len(block.q) for block in found.blocks)
-    answer.update(separation=found.rows, visits=visits, duration_s=found.seconds, out=a.out if visits else None)
+    answer.update(separation=found.rows, visits=visits, duration_s=0.0, out=a.out if visits else None)
     if not visits:
         say(a, answer, folded([*found.lines(), found.why_none()]))
         return
     with written_whole(out, may_be_missing=True) as partial:
         partial.write_text(found.text, encoding="utf-8")
-    plan_campaign(load_script(out), machine)
-    say(a, answer, folded([*found.lines(), f"{visits} visits, about {_hours(found.seconds)}", a.out]))
+    answer["duration_s"] = took = plan_campaign(load_script(out), machine).summary().duration_s
+    say(a, answer, folded([*found.lines(), f"{visits} visits, about {_hours(took)}", a.out]))
 
 
 def _hours(seconds: float) -> str:

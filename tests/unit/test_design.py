@@ -22,6 +22,7 @@ from campaigns.design.sequential import known_from
 from campaigns.plan import Plan, plan_campaign, travel, travel_time
 from campaigns.script import LoadCase, load_script
 from ppshw.errors import CampaignError
+from ppshw.identification import identify
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import load_recording
 from ppshw.terms import Situation
@@ -380,7 +381,7 @@ def test_what_a_recording_tells_is_what_its_visits_would_have_told_beforehand(tm
     plant = Plant.from_file(machine.file, seed=8)
     table = simulate_recording_csv(plant, tmp_path / "r.csv", 40, np.random.default_rng(2), loads=4, visits_per_load=10)
     recording = load_recording(table, machine)
-    known = known_from(machine, recording, 20)
+    known = known_from(recording, identify(machine, recording), 20)
     rows = white_rows(known.belief, Situation(recording.q, recording.wrench))
     flat = rows.reshape(-1, rows.shape[2])
     # a robust weight or two below one may take a little off

@@ -97,6 +97,47 @@ def test_a_length_without_sense_is_refused(desk: Path, capsys: pytest.CaptureFix
     assert "length such as 0.25mm" in capsys.readouterr().err
 
 
+def test_a_recording_that_identify_doubts_or_refuses_is_doubted_and_refused(
+    desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Readings a row late were 35 mm at 98.6 %, and a campaign after them; of few visits nothing was said (a
+    reviewer's)."""
+    assert run("plan --after rec.csv --accuracy 50mm --machine m.yaml --out c.yaml --json") == 0
+    few, now = "visits: 20, expected 40 or more", json.loads(capsys.readouterr().out)
+    assert any(few in line for line in now["warnings"])
+    rows = [line.split(",") for line in (desk / "rec.csv").read_text(encoding="utf-8").splitlines()]
+    at = [k for k, name in enumerate(rows[0]) if name[:2] in ("P1", "P2", "P3")]
+    for row, other in zip(rows[1:], [r[:] for r in rows[:0:-1]], strict=True):  # of another visit each
+        for k in at:
+            row[k] = other[k]
+    (desk / "late.csv").write_text("\n".join(map(",".join, rows)) + "\n", encoding="utf-8")
+    said = []
+    for words in (
+        "identify late.csv --machine m.yaml --out cal.json",
+        "plan --after late.csv --visits 5 --machine m.yaml --out d.yaml",
+        "plan --after late.csv --to-separate backlash,friction_hysteresis --machine m.yaml --out d.yaml",
+    ):
+        assert run(words) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1] == said[2]
+    assert not (desk / "d.yaml").exists()
+
+
+def test_visits_that_separate_put_on_what_there_is_and_take_as_long_as_their_script_says(
+    desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A third of a load that nobody can divide was asked for, and 600 s charged for every block under one load."""
+    words = "plan weights.yaml --machine m.yaml --to-separate clearance,missing_compliance"
+    assert run(f"{words} --loads weights.yaml --out d.yaml --json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert run("plan d.yaml --machine m.yaml --json") == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert said["duration_s"] == plan["duration_s"]
+    assert set(plan["loads"]) <= {"empty", "disc"}
+    assert run(f"{words} --out e.yaml") == 0
+    assert "disc-0." in (desk / "e.yaml").read_text(encoding="utf-8")
+
+
 def test_a_calibration_without_strengths_is_said_to_have_none(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("identify rec.csv --machine m.yaml --out cal.json") == 0
     data = json.loads((desk / "cal.json").read_text(encoding="utf-8"))
