@@ -93,7 +93,7 @@ def share(text: str) -> float:
     return value
 
 
-def seed(text: str) -> int:
+def whole(text: str) -> int:
     value = int(text)
     if value < 0:
         raise ValueError
@@ -117,5 +117,5 @@ def length(text: str) -> float:
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m)")
 length.__name__ = "length such as 0.25mm, unit included,"
-positive.__name__, seed.__name__ = "positive number", "seed (0, 1, 2, …)"  # what argparse calls them
+positive.__name__, whole.__name__ = "positive number", "number (0, 1, 2, …)"  # what argparse calls them
 count.__name__, share.__name__ = "number of 1 or more", "share of 0 or more"

@@ -34,7 +34,10 @@ from ppshw.whole_file import written_whole
 
 def report(a: argparse.Namespace) -> None:
     from ppshw.report import build_report
+    from ppshw.report.page import NAME
 
+    if Path(a.dir).is_dir():
+        new_file("page", Path(a.dir) / NAME)
     with Bar() as bar, bar.expect("report", REPORT_S):
         page = build_report(Path(a.dir))
     say(a, {"report": str(page)}, str(page))

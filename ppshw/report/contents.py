@@ -207,6 +207,9 @@ def _what_is_wrong(exc: Exception) -> str:
     return f"'{exc.args[0]}' is missing" if isinstance(exc, KeyError) else str(exc)
 
 
+VERDICTS = ("consistent", "missing_physics", "unexplained")
+
+
 def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
     """What a diagnosis in the folder answered, None without one. Raises ReportError where it is broken."""
     path = folder / DIAGNOSIS
@@ -226,6 +229,15 @@ def _diagnosis(folder: Path, sources: list[Source]) -> dict[str, Any] | None:
 
 def _look_at(answer: dict[str, Any]) -> None:
     """What the page takes from an answer, once before it is believed."""
+    if answer["verdict"] not in VERDICTS:
+        raise ValueError(f"verdict {answer['verdict']!r:.40}, expected {', '.join(VERDICTS)}")
+    for part, kind, said in (
+        (answer["held_out"], dict, "an object"), (answer["findings"], list, "a list"),
+        (answer.get("corrections", []), list, "a list"), (answer.get("unexplained") or {}, dict, "an object"),
+        ((answer.get("unexplained") or {"covariates": []})["covariates"], list, "a list"),
+    ):  # fmt: skip
+        if not isinstance(part, kind):
+            raise ValueError(f"{part!r:.40} where {said} is expected")
     numbers = [answer["noise_floor_mm"], answer.get("serial_correlation", 0.0)]
     numbers += [answer["held_out"][f"rms_{when}_mm"] for when in ("before", "after")]
     texts = [item["sentence"] for item in (*answer["findings"], *answer.get("corrections", ()))]
@@ -236,7 +248,7 @@ def _look_at(answer: dict[str, Any]) -> None:
         numbers += [c["p"] for c in made]
         texts += [c["about"] for c in made]
         texts += [c["where"] for c in made if c["where"]]
-    if strange := [x for x in numbers if not isinstance(x, (int, float))]:
+    if strange := [x for x in numbers if not isinstance(x, (int, float)) or isinstance(x, bool)]:
         raise ValueError(f"{strange[0]!r:.40} where a number is expected")
     if strange := [x for x in texts if not isinstance(x, str) or not x]:
         raise ValueError(f"{strange[0]!r:.40} where a text is expected")

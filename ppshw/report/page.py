@@ -131,7 +131,7 @@ def headline(contents: Contents, numbers: Numbers) -> str:
         return f"The machine comes back {at} within {mm(again['p98_6_mm'])} (98.6 % of the visits)."
     if contents.calibration is not None:
         made = contents.calibration.provenance
-        return f"Calibrated from {made.get('visits_used', '?')} visits; nothing here has verified it {at} yet."
+        return f"Calibrated from {many(made.get('visits_used', 0), 'visit')}; nothing here has verified it {at} yet."
     return f"Nothing has been identified or verified {at} yet."
 
 

@@ -22,6 +22,7 @@ import pytest
 from scipy.stats import chi2
 
 from ppshw.calibration import Calibration, content_digest
+from ppshw.cli import main
 from ppshw.compensation import Bounds
 from ppshw.compensation.inverse import solve_pose
 from ppshw.errors import BadInput, RecordingError, ReportError
@@ -656,6 +657,13 @@ def answer(**other: Any) -> str:
     return json.dumps({"verdict": "consistent", "findings": [], "held_out": held, "noise_floor_mm": 0.1, **other})
 
 
+def test_what_is_no_page_is_not_replaced_by_one(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "report.html").write_text("my notes")
+    assert main(["report", str(copy)]) == 2
+    assert "report.html: exists already and is no HTML page" in capsys.readouterr().err
+    assert (copy / "report.html").read_text() == "my notes"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "wanted"),
     [
@@ -667,7 +675,11 @@ def answer(**other: Any) -> str:
         ("diagnosis.json", "[1]", "no answer of a diagnosis, without findings"),
         ("diagnosis.json", answer(findings=[{"effect": "drift"}]), "no answer of a diagnosis: 'sentence' is missing"),
         ("diagnosis.json", answer(findings=[{"sentence": ""}]), "'' where a text is expected"),
-        ("diagnosis.json", answer(findings="none"), "no answer of a diagnosis"),
+        ("diagnosis.json", answer(findings="none"), "'none' where a list is expected"),
+        ("diagnosis.json", answer(held_out=None), "None where an object is expected"),
+        ("diagnosis.json", answer(verdict=None), "verdict None, expected consistent, missing_physics, unexplained"),
+        ("diagnosis.json", answer(noise_floor_mm=True), "True where a number is expected"),
+        ("diagnosis.json", answer(unexplained={"covariates": "abc"}), "'abc' where a list is expected"),
         ("diagnosis.json", answer(corrections=[{"sentence": 7}]), "7 where a text is expected"),
         ("diagnosis.json", answer(held_out={"rms_before_mm": 0.1}), "'rms_after_mm' is missing"),
         ("diagnosis.json", answer(noise_floor_mm="small"), "'small' where a number is expected"),
