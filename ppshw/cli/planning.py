@@ -122,6 +122,8 @@ def _identified(
     from ppshw.cli.fit import fitted
 
     estimate, *_, warnings = fitted(a.after, machine, recording, "joint", lambda k, n: bar("identify", k, n))
+    said = {f"{machine.file}: {line}" for line in answer["warnings"]}
+    warnings = [line for line in warnings if line not in said]
     warn(a.after, warnings)
     answer["warnings"] = [*answer["warnings"], *warnings]
     return estimate

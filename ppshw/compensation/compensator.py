@@ -289,7 +289,8 @@ class Compensator:
             bound = self.bounds.travel if joint.prismatic else self.bounds.angle
             if change > bound:
                 raise CompensationRefused(
-                    f"joint '{joint.name}' would be corrected by {change:.4g} {joint.unit}, the bound is {bound:g} {joint.unit}"
+                    f"joint '{joint.name}' would be corrected by {change:.4g} {joint.unit}, the bound is {bound:g} "
+                    f"{joint.unit}"
                 )
             if not lower[k] <= corrected[k] <= upper[k]:
                 raise CompensationRefused(
