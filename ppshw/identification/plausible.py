@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 # units; a reading off by 20 times the median and more than 50 mm is no error of a machine. Both are our judgement.
 ANOTHER_MACHINE, ANOTHER_MACHINE_M = 0.1, 0.1
 GROSS, GROSS_M = 20.0, 0.05
+COMPUTED_M = 1e-8  # no machine is so near to its ideal, and no tracker would say so
 # What a sensor may read with nothing on it, by its zero and its noise, says nothing of signs and units: ours, 2 kg and
 # those a quarter of a metre off.
 LOADED_N, LOADED_NM = 20.0, 5.0
@@ -52,7 +53,7 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     visits had one.
 
     Raises RecordingError when not single readings but most of them, or most of one reflector's, are far from where the
-    ideal machine has them.
+    ideal machine has them, or exactly there.
     """
     kept = recording
     for _ in range(ROUNDS):
@@ -63,6 +64,11 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
         if (gross == (recording.seen & ~kept.seen)).all():
             break
         kept = replace(recording, points=np.where(gross[..., None], np.nan, recording.points))
+    if median < COMPUTED_M:
+        raise RecordingError(
+            f"{recording.source}: half of the targets are within {1e9 * COMPUTED_M:.0f} nm of where the ideal "
+            f"'{machine.name}' has them: computed, expected readings of a machine"
+        )
     if _another_machine(median, ideal):
         placed = machine.tracker.base is not None
         or_open = ", or is `tracker.base: estimate` wanted there" if placed else ""

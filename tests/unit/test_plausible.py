@@ -12,13 +12,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ppshw.calibration import Calibration
+from ppshw.diagnosis import diagnose
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import evaluate, figures, residuals
 from ppshw.identification import identify
 from ppshw.identification.plausible import doubts, is_another_machine, misread, rests_off, without_gross_errors
+from ppshw.kinematics import point_positions
 from ppshw.machine import Machine, load_machine
 from ppshw.machine import doubts as doubts_of_file
 from ppshw.recording import Recording, load_recording
+from ppshw.transforms import inverse
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 from tests.contract.desk import MACHINE
@@ -39,6 +42,16 @@ def test_a_good_recording_is_left_alone(measured: tuple[Machine, Recording]) -> 
     kept, gross = without_gross_errors(machine, recording)
     assert not gross.any()
     np.testing.assert_array_equal(kept.points, recording.points)
+
+
+def test_what_the_ideal_machine_would_have_been_read_at_is_no_measurement(measured: tuple[Machine, Recording]) -> None:
+    """Without any noise a covariance had no inverse."""
+    machine, recording = measured
+    into = inverse(machine.tracker.frame)
+    ideal = point_positions(machine, recording.q, machine.target_array) @ into[:3, :3].T + into[:3, 3]
+    for command in (identify, diagnose):
+        with pytest.raises(RecordingError, match="are within 10 nm of where the ideal 'cell' has them: computed"):
+            command(machine, replace(recording, points=ideal))
 
 
 @pytest.mark.parametrize("metres", [0.2, 20.0, 1e8])
