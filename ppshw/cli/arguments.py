@@ -100,6 +100,10 @@ def whole(text: str) -> int:
     return value
 
 
+def seed(text: str) -> int:
+    return whole(text)
+
+
 def count(text: str) -> int:
     value = int(text)
     if value < 1:
@@ -118,4 +122,5 @@ def length(text: str) -> float:
 _LENGTH = re.compile(r"([0-9.eE+-]+?) *(mm|um|µm|m)")
 length.__name__ = "length such as 0.25mm, unit included,"
 positive.__name__, whole.__name__ = "positive number", "number (0, 1, 2, …)"  # what argparse calls them
+seed.__name__ = "seed (0, 1, 2, …)"
 count.__name__, share.__name__ = "number of 1 or more", "share of 0 or more"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from ppshw import __version__
-from ppshw.cli.arguments import count, length, positive, share, whole
+from ppshw.cli.arguments import count, length, positive, seed, share, whole
 from ppshw.cli.diagnosing import diagnose, report, twin
 from ppshw.cli.fit import evaluate, identify
 from ppshw.cli.planning import plan
@@ -64,12 +64,12 @@ def _simulation(add: Add) -> None:
     p = add("demo", demo, "the main job on simulated hardware, from campaign to compensated verification")
     p.add_argument("--out", default="demo-out", metavar="DIR",
                    help="where results go, in place of an earlier demo's (default: demo-out)")  # fmt: skip
-    p.add_argument("--seed", type=whole, default=1, help="seed of the simulated machine (default: 1)")
+    p.add_argument("--seed", type=seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--machine", default="pps", metavar="M", help="machine file (default: pps, the positioner)")
     p.add_argument("--method", choices=("joint", "paper"), default="joint", help="identification (default: joint)")
     p.add_argument(
         "--conceal",
-        type=whole,
+        type=seed,
         metavar="SEED",
         help="instead: the machine hides an effect that this seed picks, to be found, named and taken out",
     )
@@ -77,7 +77,7 @@ def _simulation(add: Add) -> None:
     p = add("simulate", simulate, "simulated hardware as a process of its own, on endpoints that open like real ones")
     _machine(p)
     p.add_argument("--site-out", required=True, metavar="S", help="site file to write, for check and run")
-    p.add_argument("--seed", type=whole, default=1, help="seed of the simulated machine (default: 1)")
+    p.add_argument("--seed", type=seed, default=1, help="seed of the simulated machine (default: 1)")
     p.add_argument("--speed", type=positive, default=1.0, help="how much faster than real time (default: 1)")
     p.add_argument("--force-sensor", choices=("bota", "gsv8"), default="bota")
 
@@ -117,7 +117,7 @@ def _campaigns(add: Add) -> None:
                    "the campaign; else 20 to 200 kg, or less)")  # fmt: skip
     g.add_argument("--load-cases", type=count, metavar="K", help="how many loads to put on (default: 4)")
     g.add_argument("--point", help="where accuracy counts (default: treatment, else the first point, or the tip)")
-    g.add_argument("--seed", type=whole, help="of everything random (default: 1)")
+    g.add_argument("--seed", type=seed, help="of everything random (default: 1)")
 
     p = add("run", run, "run a campaign; the same command again goes on where it stopped")
     p.add_argument("campaign", help="campaign script (a file, or the name of one that comes with ppshw)")
@@ -221,14 +221,14 @@ def _diagnosis(add: Add) -> None:
     _machine(p)
     p.add_argument("--calibration", required=True, metavar="CAL.json", help="with its effects, if it has any")
     p.add_argument("--out", required=True, metavar="TWIN.csv", help="the recording with simulated readings")
-    p.add_argument("--seed", type=whole, default=0, help="of its noise (default: 0)")
+    p.add_argument("--seed", type=seed, default=0, help="of its noise (default: 0)")
 
 
 def _studies(add: Add) -> None:
     p = add("prove", prove, "how often is a diagnosis right: concealed cases, sealed, diagnosed, opened, scored")
     p.add_argument("--out", required=True, metavar="DIR")
     p.add_argument("--cases", type=count, metavar="N", help="default: 108, the whole deck once")
-    p.add_argument("--seed", type=whole, default=1)
+    p.add_argument("--seed", type=seed, default=1)
     p.add_argument("--removed", type=whole, metavar="N",
                    help="N more whose effect's name is taken out of the library (default: 0)")  # fmt: skip
     p.add_argument("--short", action="store_true", help="a dozen short campaigns instead")

@@ -53,6 +53,19 @@ def _sensor_gain(space: Workspace) -> float:
     return found
 
 
+def test_a_stiffness_is_described_beside_free_compliances_and_predicts_beside_those_expected(tmp_path: Path) -> None:
+    """Held back, compliances make too much or too little of it; free, they predicted later visits worse than a
+    calibration without it (sealed 43041, 43064)."""
+    make_case(72510, "arm6", "nonlinear_stiffness", 4.0, tmp_path / "case", tmp_path / "sealed", visits=80, fit=80)
+    machine = load_machine(tmp_path / "case" / "machine.yaml")
+    made = diagnose(machine, load_recording(tmp_path / "case" / "recording.csv", machine))
+    said = next(f for f in made.answer["findings"] if f["effect"] == "nonlinear_stiffness")
+    f, candidate = next(pair for pair in made.found if pair[1].effect == "nonlinear_stiffness")
+    assert (made.space.caution == 1.0).all()
+    std = np.sqrt(by_its_own_form(made.space, candidate, f)[1][0, 0])
+    assert next(iter(said["parameters"].values()))["std"] > 1.05 * std
+
+
 def test_compliances_held_back_by_their_prior_are_no_error_of_the_force_sensor(space: Workspace) -> None:
     assert _sensor_gain(space.as_learnt()) < -3
     assert abs(_sensor_gain(space)) < 2.5
@@ -706,16 +719,3 @@ def test_how_the_instrument_sees_a_reflector_is_said_in_the_recording_s_columns(
     assert len(said) == 2
     by_reflector = next(k for k in nameless(c) if k.covariate == space.recording.target_names[0])
     assert stand_ins(c, by_reflector) == [("time", f"of reflector {by_reflector.covariate}")]
-
-
-def test_a_stiffness_is_described_beside_free_compliances_and_predicts_beside_those_expected(tmp_path: Path) -> None:
-    """Held back, compliances make too much or too little of it; free, they predicted later visits worse than a
-    calibration without it (sealed 43041, 43064)."""
-    make_case(72510, "arm6", "nonlinear_stiffness", 4.0, tmp_path / "case", tmp_path / "sealed", visits=80, fit=80)
-    machine = load_machine(tmp_path / "case" / "machine.yaml")
-    made = diagnose(machine, load_recording(tmp_path / "case" / "recording.csv", machine))
-    said = next(f for f in made.answer["findings"] if f["effect"] == "nonlinear_stiffness")
-    f, candidate = next(pair for pair in made.found if pair[1].effect == "nonlinear_stiffness")
-    assert (made.space.caution == 1.0).all()
-    std = np.sqrt(by_its_own_form(made.space, candidate, f)[1][0, 0])
-    assert next(iter(said["parameters"].values()))["std"] > 1.05 * std
