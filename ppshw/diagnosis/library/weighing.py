@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import temperature_places
+from ppshw.recording import Recording
 from ppshw.terms.history import beside_payloads, payloads, weighs
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.sensor import misread
@@ -80,9 +81,14 @@ def surely_misread(c: Context) -> bool:
     anew = replace(c, recording=replace(r, load=loads))
     for _ in range(AGAIN):
         anew = replace(anew, machine=replace(c.machine, gravity=_gravity_as_read(anew)))
-    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
+    most = _largest(r)
     both = [is_wrong & (by > MUCH * most) for is_wrong, by, _ in map(_wrong, (c, anew))]
     return bool((both[0] & both[1]).any())
+
+
+def _largest(r: Recording) -> Array:
+    """(6,) of every channel the largest force or moment that any read [N, N·m]."""
+    return np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
 
 
 def _gravity_as_read(c: Context) -> Array:
@@ -229,7 +235,7 @@ def _wrong(c: Context) -> tuple[NDArray[np.bool_], Array, Array]:
     free = len(r) - int(np.linalg.matrix_rank(every))
     if free < max(LEAST_FREE, len(r) / 2):
         return np.zeros(6, dtype=bool), np.zeros(6), np.zeros(6)
-    most = np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
+    most = _largest(r)
     left = beside - every @ np.linalg.lstsq(every, beside, rcond=1e-9)[0]
     noise, whole = (left**2).sum(axis=0) / free, (beside**2).mean(axis=0)
     wrong = np.maximum(whole - noise, 0.0)
