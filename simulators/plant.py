@@ -10,8 +10,7 @@ what they add up to.
 Known limitations
   - Loads are taken in the nominal, undeflected pose. A real machine that sags 8 mm and tilts 3 mrad carries its load
     elsewhere by as much, an elastic error of the second order (some 10 µm) that the paper neglects too. What the force
-    sensor reads is beside a real one's by the first order, weight times tilt (6 N of 200 kg at 3 mrad): where a load
-    is read often `identify` may doubt the sensor for it.
+    sensor reads is beside a real one's by the first order, weight times tilt (6 N of 200 kg at 3 mrad).
   - Quasi-static: no vibration, no settling, no dynamics while moving.
   - Encoders are perfect; backlash, heat, creep and everything else beyond model (17) is absent. To add some, pass
     the generalized errors they cause as `eps_r`, which need not be random, or let the live plant carry an effect.

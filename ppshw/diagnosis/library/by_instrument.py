@@ -17,7 +17,7 @@ from ppshw.diagnosis.library.sampled import (
     temperature_places,
     that_act,
 )
-from ppshw.diagnosis.library.weighing import reads_other
+from ppshw.diagnosis.library.weighing import reads_other, surely_misread
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -136,11 +136,12 @@ def sensor_errors(c: Context) -> Iterator[Candidate]:
 
 
 def weighed(c: Context) -> Column | None:
-    """What the sensor read beside the rigid payloads; None where that moves hardly anything, or is noise."""
+    """What the sensor read beside the rigid payloads; None where that is noise, or moves hardly anything and may be
+    something else than the sensor's error."""
     column = Column("frames", "weighed", {})
     moved = column.evaluate(c)
     misread = float(np.sqrt((moved**2).mean() * 3)) > LEAST_MISREAD
-    return column if misread and reads_other(c) else None
+    return column if reads_other(c) and (misread or surely_misread(c)) else None
 
 
 def force_sensor_jumps(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:

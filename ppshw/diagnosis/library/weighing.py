@@ -14,10 +14,17 @@ from scipy.linalg import cho_factor, cho_solve
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import temperature_places
 from ppshw.recording import Recording
+from ppshw.statics import gravity_in_sensor
 from ppshw.terms.history import beside_payloads, payloads, weighs
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.sensor import misread
-from ppshw.terms.shapes.wrenches import beside_the_payload, gravity_at_sensor, payloads_of, weighed_often
+from ppshw.terms.shapes.wrenches import (
+    beside_the_payload,
+    chain_as_read,
+    gravity_at_sensor,
+    payloads_of,
+    weighed_often,
+)
 
 Array = NDArray[np.float64]
 # Beside rigid payloads sensors read 0.1 to 1.4 N and 0.1 to 0.5 N m, as noise, in 180 recordings of three authors, and
@@ -94,7 +101,7 @@ def _largest(r: Recording) -> Array:
 def _gravity_as_read(c: Context) -> Array:
     """(3,) in the base, where what hangs there is pulled to by the forces; as strong as the machine file has it."""
     size, mass = float(np.linalg.norm(c.machine.gravity)), payloads_of(c)[:, 0] * weighed_often(c)
-    along = [gravity_at_sensor(replace(c, machine=replace(c.machine, gravity=axis))) for axis in np.eye(3)]
+    along = [gravity_in_sensor(replace(c.machine, gravity=axis), chain_as_read(c)) for axis in np.eye(3)]
     pulls = (mass[:, None, None] * np.stack(along, axis=2)).reshape(-1, 3)
     found = np.linalg.lstsq(pulls, c.recording.wrench[:, :3].ravel(), rcond=1e-6)[0]
     strength = float(np.linalg.norm(found))
