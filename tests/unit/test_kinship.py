@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from ppshw.diagnosis.kinship import AKIN, ALWAYS, WOUND_UP, counts, of_its_kind, stranger_than
@@ -96,8 +98,31 @@ def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> No
     assert not of_its_kind(bends, _rival("base", None, "late_2_temp_air_C"), rails)
     assert not of_its_kind(named, _rival("base", "tx", "time"), rails)
     assert not of_its_kind(named, _rival("yaw", "tx", "late_2_temp_air_C"), rails)
+    warm = (Column("frame", "temperature", {"place": "air", "tau": 0.0}, 2, 1),)
+    along = replace(_named("thermal_growth", "vertical", "vertical", "ty", "temp_air_C"), columns=warm)
+    of_base = replace(_rival("roll", "rx", "temp_air_C"), columns=(Column("frame", "covariate", {"count": 3}, 0, 3),))
+    assert of_its_kind(along, of_base, rails)  # of the base, in whichever direction, beside anything
+    assert not of_its_kind(replace(along, component="rz"), of_base, rails)
     turning = _named("thermal_growth", "yaw", "yaw", None, "temp_air_C")
     assert not of_its_kind(turning, _rival("base", "tx", "late_2_temp_air_C"), rails)
+
+
+def test_what_grows_everywhere_may_grow_more_where_a_joint_stands() -> None:
+    named = _named("thermal_growth", None, None, None, "temp_air_C")
+    assert of_its_kind(named, _rival("roll", "rx", "late_1_temp_air_C", "q_roll"))
+    assert not of_its_kind(named, _rival("roll", "rx", "q_roll"))
+    assert not of_its_kind(named, _rival("roll", "rx", "temp_air_C", "time"))
+
+
+def test_a_scale_about_wherever_the_instrument_stands_is_a_scale() -> None:
+    named = _named("tracker_scale", None, None, None, "temp_air_C")
+    scale, base, roll = (
+        Column("points", "scale", {}),
+        Column("frame", "clock", {}, 0, 1),
+        Column("frame", "clock", {}, 5, 1),
+    )
+    for columns, kin in (((scale,), True), ((scale, base), True), ((base,), False), ((scale, roll), False)):
+        assert of_its_kind(named, replace(_rival("base", "ty", "temp_air_C"), columns=columns)) == kin
 
 
 def test_a_base_that_goes_with_what_warms_within_the_machine_drifts() -> None:
@@ -125,6 +150,9 @@ def test_a_gap_that_goes_with_something_or_tilts_is_a_gap_if_most_of_it_is_alway
         _rival("yaw", "ry", "approach_yaw", "way_yaw", function="reversal"),
     ):
         assert counts(named, other) == 1.0
+    rocks = replace(named, columns=tuple(Column("frame", "approach", {}, 4, k) for k in (4, 3)))  # about ry, and rx
+    assert counts(rocks, tilting) == 1.0  # what rocks sideways alone is a cable
+    assert counts(rocks, replace(changing, frame="pitch", component="rx")) == ALWAYS
 
 
 def test_what_goes_with_a_load_is_stiffness_or_clearance_where_both_have_a_name() -> None:
