@@ -673,6 +673,8 @@ def test_half_power_is_found_where_half_are_detected() -> None:
     detected = rng.random(600) < 1 / (1 + np.exp(-2 * (strength - 3.4)))
     assert half_power(strength, detected) == pytest.approx(3.4, abs=0.25)
     assert half_power([1.0, 2.0], [True, True]) is None
+    assert half_power([1.0, 2.0, 3.0, 18.0, 20.0], [False, True, True, False, False]) is None  # it falls
+    assert half_power([10.0, 11.0, 12.0, 13.0, 14.0], [True, False, True, True, True]) is None  # below the least
 
 
 def test_a_deck_holds_every_effect_at_every_size_and_a_longer_one_begins_alike() -> None:
