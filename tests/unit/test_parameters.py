@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library
-from ppshw.diagnosis.parameters import numbers_of, spread_of
+from ppshw.diagnosis.parameters import is_of, numbers_of, spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms import COMPONENTS
@@ -305,6 +305,43 @@ def test_moments_are_a_grid_and_loads_are_not(space: Workspace) -> None:
     ]  # fmt: skip
     tried = Tried(space, lags, space.unit)
     assert spread_of(tried, 0, np.zeros(len(lags))) == {}
+
+
+def test_a_number_off_a_grid_is_as_sure_as_its_neighbours_let_it_be(space: Workspace) -> None:
+    widths, shares = (0.1, 0.3, 0.4), (1.0, 1.0, 0.25)
+    lags = [
+        Candidate("friction_hysteresis", "lateral", "lateral", "tx", "move_lateral",
+                  (Column("frame", "slipping", {"joint": 0, "width": width}, 1, 0),), {"width": width}, share)
+        for width, share in zip(widths, shares, strict=True)
+    ]  # fmt: skip
+    tried = Tried(space, lags, space.unit)
+    cells = (0.2, 0.15, 0.1)  # of the middle one from halfway to halfway; at an end the whole way to the next
+    for k, cell in enumerate(cells):
+        alone = np.where(np.arange(3) == k, 0.0, -1e3)
+        assert spread_of(tried, k, alone)["width"] == pytest.approx(cell / np.sqrt(12.0))
+    # the last one's prior share is a quarter of either other's: weights of 4, 4 and 1 ninths, or of 4 and 1 fifths
+    away = np.sqrt((4 * 0.2**2 + 1 * 0.1**2) / 9 + 0.15**2 / 12)
+    assert spread_of(tried, 1, np.zeros(3))["width"] == pytest.approx(away)
+    without_the_first = np.sqrt(0.1**2 / 5 + 0.15**2 / 12)
+    assert spread_of(tried, 1, np.array([-1e3, 0.0, 0.0]))["width"] == pytest.approx(without_the_first)
+
+
+def test_a_finding_is_told_by_its_name_joint_cause_and_period() -> None:
+    def one(effect: str, covariate: str, period: float | None = None) -> Candidate:
+        shape = {} if period is None else {"period": period}
+        return Candidate(effect, "yaw", "yaw", "ry", covariate, (), shape)
+
+    def said(effect: str, covariate: str, **parameters: float) -> dict[str, object]:
+        values = {name: {"value": value} for name, value in parameters.items()}
+        return {"effect": effect, "joint": "yaw", "covariate": covariate, "parameters": values}
+
+    assert is_of(said("cross_coupling", "q_roll"), one("cross_coupling", "q_roll"))
+    assert not is_of(said("cross_coupling", "q_roll"), one("cross_coupling", "q_pitch"))
+    assert is_of(said("clearance", "Mx"), one("clearance", "Mz"))  # another load of the same bearing
+    assert not is_of(said("clearance", "Mx"), one("nonlinear_stiffness", "Mx"))
+    assert not is_of({**said("clearance", "Mx"), "joint": "roll"}, one("clearance", "Mx"))
+    assert is_of(said("periodic_transmission", "q_yaw", period=0.1), one("periodic_transmission", "q_yaw", 0.1001))
+    assert not is_of(said("periodic_transmission", "q_yaw", period=0.1), one("periodic_transmission", "q_yaw", 0.2))
 
 
 def test_the_phase_of_a_wave_is_as_unsure_as_it_may_turn(space: Workspace) -> None:
