@@ -22,8 +22,10 @@ from ppshw.identification.start import to_base
 from ppshw.identification.strengths import Groups, learn
 from ppshw.identification.structure import joint_model
 from ppshw.identification.visits import Linearisation
-from ppshw.machine import BentBy, Machine
+from ppshw.kinematics import frames
+from ppshw.machine import WRENCH_COMPONENTS, BentBy, Machine
 from ppshw.recording import Recording
+from ppshw.statics import link_wrenches
 from ppshw.terms import Situation
 
 Array = NDArray[np.float64]
@@ -37,6 +39,7 @@ NOT_BENT = {
     "beyond": "of a link do not bend its own joint here, only those before it",
     "payload": "bend nothing here, the payload alone does",
 }
+VARIES = 1e-3  # of the largest force or moment of own weights on a joint, at least
 FEWEST, ASKED, STEPS = 40, 256, 4  # visits that a recording needs; that are asked first; steps of the strengths there
 
 
@@ -49,7 +52,7 @@ def fitted(machine: Machine, sound: Recording, recording: Recording, progress: P
 
     found = fit(machine.bent_by)
     visits = np.flatnonzero(found.weights > SET_ASIDE)
-    if len(visits) < FEWEST or not any(j.mass > 0 and j.elastic for j in machine.joints):
+    if len(visits) < FEWEST or not _own_weights_vary(machine, recording.q):
         return found
     asked = visits[:: -(-len(visits) // ASKED)]
     known = _moved_evidence(found, machine.bent_by, recording, asked)
@@ -63,6 +66,19 @@ def fitted(machine: Machine, sound: Recording, recording: Recording, progress: P
     other = fit(likeliest)
     before, after = log_evidences([found, other], recording)
     return other if after > before + LIKELIER[likeliest] else found
+
+
+def _own_weights_vary(machine: Machine, q: Array) -> bool:
+    """Whether a joint that may bend carries other own weights at one visit than at another. What they always bend alike
+    is geometry as well: a rail's chance offset said that its weights bend nothing."""
+    alone = replace(machine, bent_by="own")
+    carried = link_wrenches(alone, frames(machine, q), np.zeros((len(q), 6)))
+    for joint, wrench in zip(machine.joints, np.moveaxis(carried[:, 1:], 1, 0), strict=True):
+        if joint.elastic:
+            some = wrench[:, [WRENCH_COMPONENTS.index(load) for load in joint.elastic.loads]]
+            if some.size and np.ptp(some, axis=0).max() > VARIES * np.abs(wrench).max():
+                return True
+    return False
 
 
 def _moved_evidence(found: Estimate, way: BentBy, recording: Recording, visits: Index) -> float:

@@ -166,9 +166,32 @@ def test_another_way_stands_only_where_its_whole_fit_is_likelier_too(
         return SimpleNamespace(bent_by=machine.bent_by, weights=np.ones(60))
 
     monkeypatch.setattr(own_weight, "joint_model", lambda machine, _: machine)
+    monkeypatch.setattr(own_weight, "_own_weights_vary", lambda *_: True)
     monkeypatch.setattr(own_weight, "estimate", fit)
     monkeypatch.setattr(own_weight, "_moved_evidence", lambda found, which, *_: asked[which])
     monkeypatch.setattr(own_weight, "log_evidences", lambda *_: list(whole or ()))
-    found = own_weight.fitted(replace(ARM, bent_by="own"), None, None)  # type: ignore[arg-type]
+    found = own_weight.fitted(replace(ARM, bent_by="own"), None, SimpleNamespace(q=None))  # type: ignore[arg-type]
     assert found.bent_by == way  # type: ignore[attr-defined]
     assert len(made) == fits
+
+
+@pytest.mark.parametrize(
+    ("prismatic", "askew", "elastic", "asked"),
+    [
+        (False, 0.0, True, False),  # about the vertical
+        (False, 0.5, True, True),
+        (True, 0.5, True, False),  # however a rail stands, it carries always the same
+        (False, 0.5, False, False),
+    ],
+)
+def test_own_weights_that_are_always_the_same_are_not_asked_about(
+    prismatic: bool, askew: float, elastic: bool, asked: bool
+) -> None:
+    """A rail's chance offset said that its weights bend nothing."""
+    axis = np.array([np.sin(askew), 0.0, np.cos(askew)])
+    bends = ARM.joints[0].elastic if elastic else None
+    joint = replace(
+        ARM.joints[0], prismatic=prismatic, axis=axis, mass=50.0, com=np.array([0.2, 0.1, 0.3]), elastic=bends
+    )
+    poses = np.linspace(-0.5, 0.5, 9)[:, None]
+    assert own_weight._own_weights_vary(replace(ARM, joints=(joint,)), poses) == asked
