@@ -7,9 +7,13 @@ up because a function without one is more of the same: only because something el
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.library import Candidate
+from ppshw.kinematics import frames, travel
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
@@ -22,6 +26,10 @@ AKIN = 0.98
 # if most of it is always there and in its own direction: 0.88 and 0.94 of what was said by gaps that closed as a nut
 # warmed, 0.90 by one that tilts (two other authors' 10061, 10075, 8001).
 ALWAYS = 0.85
+# Of a base that moves with a temperature, beside growth of what only turns about its own axis: in all directions that
+# says as much as growth along one of them, less what they cost (28.4 and 26.1; sealed 64009), and 12 % more where the
+# tracker's scale goes with the air (65.4 and 73.2).
+OTHER_WAYS = 0.9
 # Of friction any function of the way since its joint turned back may say a little more, for no real one winds up as the
 # library's: 2.1 % of loud Bouc-Wen friction (another author's 9207). Of play that has no name it says far more.
 WOUND_UP = 0.97
@@ -30,18 +38,31 @@ OF_A_LOAD = frozenset({"nonlinear_stiffness", "clearance"})  # any function of a
 JUMPS = frozenset({"step", "hopping"})
 FALLS = frozenset({"load_side", "load_side_held"})  # to one side or the other, at whichever joint that bears the load
 READ = frozenset({"sensor_error", "weighed"})  # functions of what the force sensor read, or should have
+SHIFTS = COMPONENTS[:3]
+HARDLY_TURNS = 0.15  # rad: what grows by 10 µm goes 1.5 µm aside
+
+
+@dataclass(frozen=True)
+class Unturned:
+    """What points the same way in the base wherever the machine stands: frames behind no revolute joint, the base's
+    first; shifts along an axis of any frame, (frame, component), and links, by the joint that they are behind, that no
+    joint's travel turns by much: a turn about an axis leaves what points along it as it was."""
+
+    frames: tuple[str, ...] = ()
+    shifts: frozenset[tuple[str, str]] = frozenset()
+    links: frozenset[int] = frozenset()
 
 
 def of_its_kind(
     named: Candidate,
     rival: Candidate,
-    parallel: Collection[str] = (),
+    unturned: Unturned = Unturned(),
     inside: tuple[str, ...] = (),
     both_of_a_load: bool = False,
 ) -> bool:
     """Whether a rival without a name would bear the name's, by what the name means (contract, §4).
 
-    parallel  frames that never turn against the base, which is one: a shift of one of them is each other's
+    unturned  what never turns against the base: a shift of it is the base's, too
     inside    how columns end that are temperatures within the machine, which move no base: there a slow clock
     """
     here = (named.frame, named.component) == (rival.frame, rival.component)
@@ -54,15 +75,18 @@ def of_its_kind(
         case "backlash":  # from which side its joint came, and nothing else
             return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
         case "zero_shift":
-            there = here or (_alike(named, rival, parallel) and named.component == rival.component)
+            there = here or (_alike(named, rival, unturned) and named.component == rival.component)
             return there and all(column.function in JUMPS for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
             if named.joint is None:  # every link grows
                 return named.covariate in plain and all(k == named.covariate or k.startswith("q_") for k in plain)
-            there = rival.frame == named.frame or _alike(named, rival, parallel)
-            there |= _only_shifts(named, parallel) and any(map(_moves_the_base, rival.columns))
-            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+            if _as_the_base(named, rival, unturned):  # by whichever thermometer: that would be growth, too
+                rail = named.frame in unturned.frames or not all(map(_moves_the_base, rival.columns))
+                return rail and all(name.startswith("temp_") for name in plain - {f"q_{named.joint}"})
+            there = rival.frame == named.frame or _alike(named, rival, unturned)
+            there |= _only_shifts(named, unturned) and (rival.frame, rival.component) in unturned.shifts
+            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}", f"q_{rival.frame}"}
         case "tracker_scale":  # about wherever the instrument stands
             scales = [column for column in rival.columns if column.function == "scale"]
             return bool(scales) and all(column in scales or _moves_the_base(column) for column in rival.columns)
@@ -89,8 +113,10 @@ def of_its_kind(
     return False
 
 
-def counts(named: Candidate, rival: Candidate) -> float:
+def counts(named: Candidate, rival: Candidate, unturned: Unturned = Unturned()) -> float:
     """The share of a rival's evidence that counts against a name."""
+    if named.effect == "thermal_growth" and _as_the_base(named, rival, unturned):
+        return OTHER_WAYS
     if named.effect == "nonlinear_stiffness" and _of_its_load(named, rival):
         return AKIN
     here = (named.frame, named.component) == (rival.frame, rival.component)
@@ -124,24 +150,50 @@ def _of_its_load(named: Candidate, rival: Candidate) -> bool:
     return here and rival.covariates == (f"on_{named.frame}_{named.covariate}",)
 
 
-def _alike(named: Candidate, rival: Candidate, parallel: Collection[str]) -> bool:
+def _alike(named: Candidate, rival: Candidate, unturned: Unturned) -> bool:
     """Whether both are shifts, of frames that never turn against the base."""
     shifts = not any((k.component or "").startswith("r") for k in (named, rival))
-    return shifts and {rival.frame, named.frame} <= set(parallel)
+    return shifts and {rival.frame, named.frame} <= set(unturned.frames)
 
 
 def _moves_the_base(column: Column) -> bool:
     return column.on == "frame" and column.frame == 0
 
 
-def _only_shifts(named: Candidate, parallel: Collection[str]) -> bool:
-    """Whether growth does nothing but shift frames that never turn: what the base may do as well, beside anything."""
-    if all(column.function == "link_growth" for column in named.columns):  # of a link, before its joint turns
-        return all(0 <= column.args["joint"] < len(parallel) for column in named.columns)
-    return named.frame in parallel and not (named.component or "r").startswith("r")
+def _as_the_base(named: Candidate, rival: Candidate, unturned: Unturned) -> bool:
+    """Whether growth shifts along what never turns, and a rival moves the base, beside anything."""
+    return _only_shifts(named, unturned) and any(map(_moves_the_base, rival.columns))
 
 
-def never_turned(machine: Machine) -> list[str]:
-    """Frames behind no revolute joint, the base's among them: their axes stay parallel."""
+def _only_shifts(named: Candidate, unturned: Unturned) -> bool:
+    """Whether growth does nothing but shift along what never turns: what the base may do as well."""
+    links = [column.args["joint"] for column in named.columns if column.function == "link_growth"]
+    if links:
+        return set(links) <= unturned.links
+    return (named.frame, named.component) in unturned.shifts
+
+
+def never_turned(machine: Machine) -> Unturned:
+    lower, upper = travel(machine)
+    middle = frames(machine, (lower + upper)[None] / 2)[0, :, :3, :3]
     rails = itertools.takewhile(lambda joint: joint.prismatic, machine.joints)
-    return [machine.frame_names[0], *(joint.name for joint in rails)]
+    swings = np.stack([
+        middle[k + 1] @ joint.axis * (0.0 if joint.prismatic else (upper[k] - lower[k]) / 2)
+        for k, joint in enumerate(machine.joints)
+    ])  # fmt: skip
+
+    def stays(frame: int, way: NDArray[np.float64]) -> bool:
+        aside = np.cross(swings[:frame], middle[frame] @ way)
+        return bool(np.linalg.norm(aside, axis=-1).sum() <= HARDLY_TURNS * np.linalg.norm(way))
+
+    links = [*(joint.origin for joint in machine.joints[1:]), machine.tip_in_link]
+    return Unturned(
+        (machine.frame_names[0], *(joint.name for joint in rails)),
+        frozenset(
+            (name, component)
+            for frame, name in enumerate(machine.frame_names)
+            for component, way in zip(SHIFTS, np.eye(3), strict=True)
+            if stays(frame, way)
+        ),
+        frozenset(k for k, link in enumerate(links) if stays(k + 1, link[:3, 3])),
+    )

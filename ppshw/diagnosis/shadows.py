@@ -29,7 +29,7 @@ AT_ONCE = 0.02  # of the recording's duration: moments that are one
 def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> Found | None:
     """The finding whose shadow a candidate is, if it is one."""
     candidate = tried.candidates[best]
-    parallel, inside = never_turned(tried.space.machine), within(tried.space.machine)
+    unturned, inside = never_turned(tried.space.machine), within(tried.space.machine)
     for f in found:
         other = tried.candidates[f.best]
         if candidate.effect == other.effect == "target_moved" and candidate.covariate == other.covariate:
@@ -49,13 +49,13 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         # what a base that wanders leaves may by chance go with a temperature
         wanders = other.effect == "drift" and candidate.frame == other.frame and "temp_" in candidate.covariate
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
-        by_rail = other.effect == "drift" and candidate.frame in parallel[1:]
+        by_rail = other.effect == "drift" and candidate.frame in unturned.frames[1:]
         slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
         # a seat that each load finds anew follows anything slow, if loads lie there for long
         seats = candidate.frame == other.frame and all(column.function == "seated" for column in candidate.columns)
         wave = candidate.effect == "periodic_transmission" != other.effect
         least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
-        more = candidate.effect == "nameless" and of_its_kind(other, candidate, parallel, inside)
+        more = candidate.effect == "nameless" and of_its_kind(other, candidate, unturned, inside)
         if more and same_place(candidate, other) and evidence < SAME_EFFECT * f.first:
             return f  # more of the same, by what the name means
         if (same_joint or by_load or same_cause or riddle or wanders or seats) and evidence < least:

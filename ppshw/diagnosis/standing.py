@@ -217,12 +217,12 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[f
     """What rivals without a name say that are not by what they mean the finding's own effect, for the evidence (C,) of
     all candidates; and the strongest of them."""
     mine, machine = tried.candidates[f.best], tried.space.machine
-    parallel, inside = never_turned(machine), within(machine)
+    unturned, inside = never_turned(machine), within(machine)
     others = np.array([
         j for j in np.flatnonzero(tried.name_of == freely)
-        if not of_its_kind(mine, tried.candidates[j], parallel, inside, not OF_A_LOAD & tried.without)
+        if not of_its_kind(mine, tried.candidates[j], unturned, inside, not OF_A_LOAD & tried.without)
     ])  # fmt: skip
-    counted = np.array([counts(mine, tried.candidates[j]) for j in others])
+    counted = np.array([counts(mine, tried.candidates[j], unturned) for j in others])
     if mine.effect == "friction_hysteresis":  # nearly the same motion of another frame says no more of how it winds up
         wound = np.array([winds_up(mine, tried.candidates[j]) for j in others])
         here = np.max(evidence[others], where=wound & (counted < 1.0), initial=-math.inf)

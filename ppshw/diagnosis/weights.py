@@ -87,7 +87,7 @@ def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
     surely. A jump of a rail that nothing before it turns one of the base, which only fixed monuments tell.
     """
     candidate = tried.candidates[f.best]
-    if candidate.effect == "zero_shift" and candidate.joint in never_turned(space.machine)[1:]:
+    if candidate.effect == "zero_shift" and candidate.joint in never_turned(space.machine).frames[1:]:
         return ("drift", None) if ("drift", None) in tried.names else None
     play = ("backlash", candidate.joint)
     if candidate.effect != "friction_hysteresis" or play not in tried.names:

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from ppshw.diagnosis.kinship import AKIN, ALWAYS, WOUND_UP, counts, of_its_kind, stranger_than
+from ppshw.diagnosis.kinship import (
+    AKIN,
+    ALWAYS,
+    OTHER_WAYS,
+    WOUND_UP,
+    Unturned,
+    counts,
+    never_turned,
+    of_its_kind,
+    stranger_than,
+)
 from ppshw.diagnosis.library import Candidate
+from ppshw.machine import load_machine
 from ppshw.terms.shapes import Column
 
 
@@ -21,6 +34,12 @@ def _rival(
 ) -> Candidate:
     columns = (Column("frame", function, {"count": count}, 1, 0),)
     return Candidate("nameless", None, frame, component, " × ".join(over), columns, covariates=over)
+
+
+def on_rails(*frames: str) -> Unturned:
+    """Frames that never turn, and links of their joints but the last."""
+    shifts = frozenset(itertools.product(frames, ("tx", "ty", "tz")))
+    return Unturned(frames, shifts, frozenset(range(len(frames) - 1)))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +98,7 @@ def test_sides_that_a_load_holds_are_clearance_and_a_load_that_lags_is_creep_at_
 
 def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> None:
     named = _named("zero_shift", "vertical", "vertical", "ty", "time")
-    rails = ("base", "lateral", "vertical")
+    rails = on_rails("base", "lateral", "vertical")
     for frame in ("base", "lateral"):
         assert of_its_kind(named, _rival(frame, "ty", "time", function="step"), rails)
         assert not of_its_kind(named, _rival(frame, "tx", "time", function="step"), rails)
@@ -89,7 +108,7 @@ def test_a_step_of_what_never_turns_is_the_jump_of_a_rail_in_its_direction() -> 
 
 def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> None:
     named = _named("thermal_growth", "vertical", "vertical", None, "temp_air_C")
-    rails = ("base", "lateral", "vertical")
+    rails = on_rails("base", "lateral", "vertical")
     for frame, component in (("base", None), ("base", "tx"), ("lateral", "ty")):
         assert of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"), rails)
         assert not of_its_kind(named, _rival(frame, component, "late_2_temp_air_C"))
@@ -105,6 +124,36 @@ def test_a_shift_of_what_never_turns_is_the_growth_of_any_link_before_it() -> No
     assert not of_its_kind(replace(along, component="rz"), of_base, rails)
     turning = _named("thermal_growth", "yaw", "yaw", None, "temp_air_C")
     assert not of_its_kind(turning, _rival("base", "tx", "late_2_temp_air_C"), rails)
+
+
+def test_what_points_along_an_axis_is_not_turned_about_it() -> None:
+    """Growth of a pillar that only turns about its own axis had lost its name to whatever moves the base (sealed
+    64009)."""
+    machine = load_machine(Path(__file__).parents[2] / "machines/pps.yaml")
+    found = never_turned(machine)
+    assert found.frames == ("base", "lateral", "vertical", "longitudinal")
+    assert {component for frame, component in found.shifts if frame == "longitudinal"} == {"tx", "ty", "tz"}
+    for frame in ("yaw", "roll", "pitch"):  # yaw is upright; roll and pitch turn by 3 degrees either way
+        assert {component for name, component in found.shifts if name == frame} == {"ty"}
+    assert found.links == set(range(6))  # those from yaw on are upright
+    arm = never_turned(load_machine(Path(__file__).parents[2] / "machines/arm6.yaml"))
+    assert arm.frames == ("base",)
+    assert {shift for shift in arm.shifts if shift[0] != "base"} == {("waist", "tz")}
+    assert arm.links == frozenset()
+    column, base = Column("frames", "link_growth", {"joint": 3}), Column("frame", "covariate", {"count": 3}, 0, 1)
+    pillar = replace(_named("thermal_growth", "yaw", "yaw", None, "temp_air_C"), columns=(column,))
+    shifts = replace(_rival("base", None, "temp_air_C"), columns=(base,))
+    assert not of_its_kind(pillar, shifts, found)
+    assert (counts(pillar, shifts, found), counts(pillar, shifts, arm)) == (OTHER_WAYS, 1.0)
+    for component, kin in (("ty", True), ("rz", False)):  # growth of that rail, as its joint stands
+        assert of_its_kind(pillar, _rival("vertical", component, "q_vertical", "temp_air_C"), found) == kin
+    assert not of_its_kind(pillar, _rival("roll", "tx", "q_roll", "temp_air_C"), found)  # which yaw turns
+    lengths = replace(shifts, columns=(Column("points", "scale", {}), base))  # from afar that is a shift
+    assert of_its_kind(pillar, lengths, found)
+    assert not of_its_kind(pillar, lengths, arm)
+    post = replace(pillar, joint="vertical", frame="vertical", columns=(replace(column, args={"joint": 1}),))
+    for name, kin in (("temp_air_C", True), ("late_1_temp_rail_C", True), ("time", False)):
+        assert of_its_kind(post, replace(shifts, covariates=(name,)), found) == kin
 
 
 def test_what_grows_everywhere_may_grow_more_where_a_joint_stands() -> None:

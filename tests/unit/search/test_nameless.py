@@ -417,7 +417,7 @@ def test_what_moves_the_base_in_time_is_a_drift_also_where_a_joint_is_called_bas
     in_time = [k for k in nameless(context) if k.covariates == ("time",) and k.columns[0].frame == 0]
     assert {k.frame for k in [*drifts, *in_time]} == {"ground"}
     assert all(of_its_kind(drifts[0], k) for k in in_time)
-    assert never_turned(machine)[:2] == ["ground", "base"]
+    assert never_turned(machine).frames[:2] == ("ground", "base")
 
 
 def test_a_joint_that_stood_at_a_few_places_has_no_waves_that_could_be_told_apart(space: Workspace) -> None:
