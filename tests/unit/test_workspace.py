@@ -684,6 +684,21 @@ def test_a_cable_chain_weighs_as_a_body_where_its_joint_has_it_all_and_as_one_ta
     assert np.allclose(hose, body * c.u(0)[:, None, None])  # that another joint moves
 
 
+def test_a_cable_that_hangs_at_a_joint_turns_every_frame_by_its_lever_and_weight(space: Workspace) -> None:
+    """1 N where the joint has let out all of it, nothing where none: r × F about the frame, in the frame's axes."""
+    c, joint, frame = space.context, 3, 2
+    way = np.asarray(c.machine.gravity) / np.linalg.norm(c.machine.gravity)
+    for visit in (int(np.argmax(c.recording.q[:, joint])), 5):
+        low, high = c.recording.q[:, joint].min(), c.recording.q[:, joint].max()
+        weight = way * (c.recording.q[visit, joint] - low) / (high - low)
+        here, there = c.chain[visit, frame], c.chain[visit, joint + 1, :3, 3]
+        moment = here[:3, :3].T @ np.cross(there - here[:3, 3], weight)
+        args = {"frame": frame, "joint": joint}
+        said = [Column("frame", "hanging", {**args, "component": b}, frame, 3).value(c)[visit] for b in range(3, 6)]
+        assert np.abs(moment).max() > 0.05
+        assert np.allclose(said, moment, atol=1e-12)
+
+
 def test_an_effect_has_a_size_where_all_scatter_was_put_down_to_the_instrument(space: Workspace) -> None:
     """As where one reflector moved against the others, which no pose does: sizes were measured against a repeatability
     of nothing then, and nothing was found."""
