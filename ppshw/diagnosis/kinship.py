@@ -81,12 +81,10 @@ def of_its_kind(
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
             if named.joint is None:  # every link grows
                 return named.covariate in plain and all(k == named.covariate or k.startswith("q_") for k in plain)
-            if _as_the_base(named, rival, unturned):  # by whichever thermometer: that would be growth, too
-                rail = named.frame in unturned.frames or not all(map(_moves_the_base, rival.columns))
-                return rail and all(name.startswith("temp_") for name in plain - {f"q_{named.joint}"})
+            if _warms_the_base(named, rival, unturned):
+                return named.frame in unturned.frames or not all(map(_moves_the_base, rival.columns))
             there = rival.frame == named.frame or _alike(named, rival, unturned)
-            there |= _only_shifts(named, unturned) and (rival.frame, rival.component) in unturned.shifts
-            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}", f"q_{rival.frame}"}
+            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
         case "tracker_scale":  # about wherever the instrument stands
             scales = [column for column in rival.columns if column.function == "scale"]
             return bool(scales) and all(column in scales or _moves_the_base(column) for column in rival.columns)
@@ -115,7 +113,7 @@ def of_its_kind(
 
 def counts(named: Candidate, rival: Candidate, unturned: Unturned = Unturned()) -> float:
     """The share of a rival's evidence that counts against a name."""
-    if named.effect == "thermal_growth" and _as_the_base(named, rival, unturned):
+    if named.effect == "thermal_growth" and _warms_the_base(named, rival, unturned):
         return OTHER_WAYS
     if named.effect == "nonlinear_stiffness" and _of_its_load(named, rival):
         return AKIN
@@ -160,12 +158,15 @@ def _moves_the_base(column: Column) -> bool:
     return column.on == "frame" and column.frame == 0
 
 
-def _as_the_base(named: Candidate, rival: Candidate, unturned: Unturned) -> bool:
-    """Whether growth shifts along what never turns, and a rival moves the base, beside anything."""
-    return _only_shifts(named, unturned) and any(map(_moves_the_base, rival.columns))
+def _warms_the_base(named: Candidate, rival: Candidate, unturned: Unturned) -> bool:
+    """Whether growth shifts along what never turns, and a rival moves the base, beside anything, by whichever
+    thermometer: that would be growth, too."""
+    heat = set(rival.covariates or (rival.covariate or "",)) - {f"q_{named.joint}"}
+    by_heat = bool(heat) and all("temp_" in name for name in heat)
+    return by_heat and only_shifts(named, unturned) and any(map(_moves_the_base, rival.columns))
 
 
-def _only_shifts(named: Candidate, unturned: Unturned) -> bool:
+def only_shifts(named: Candidate, unturned: Unturned) -> bool:
     """Whether growth does nothing but shift along what never turns: what the base may do as well."""
     links = [column.args["joint"] for column in named.columns if column.function == "link_growth"]
     if links:

@@ -18,6 +18,7 @@ from ppshw.diagnosis.kinship import (
     counts,
     never_turned,
     of_its_kind,
+    only_shifts,
     stranger_than,
     winds_up,
 )
@@ -241,7 +242,18 @@ def _by_itself(
     are then taken up."""
     every = _beside(space, tried, [replace(f, more=(), size=0.0) if f.more else f, *pieces], others)
     evidence, names = tried.said()
-    return float(names[tried.names.index(f.name)]), every, evidence
+    return _at_any_joint(tried, f, evidence, names), every, evidence
+
+
+def _at_any_joint(tried: Tried, f: Found, evidence: Array, names: Array) -> float:
+    """What a name says; growth along what never turns at whichever joint, since nothing tells them apart."""
+    own = float(names[tried.names.index(f.name)])
+    unturned = never_turned(tried.space.machine)
+    if f.name[0] != "thermal_growth" or not only_shifts(tried.candidates[f.best], unturned):
+        return own
+    same = [k for k, name in enumerate(tried.names) if name[0] == f.name[0] and name[1] is not None]
+    alike = [names[k] for k in same if only_shifts(tried.candidates[tried.strongest(evidence, k)], unturned)]
+    return max(own, float(logsumexp(alike)))
 
 
 def _bare(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces: Sequence[Found]) -> float:

@@ -145,15 +145,13 @@ def test_what_points_along_an_axis_is_not_turned_about_it() -> None:
     shifts = replace(_rival("base", None, "temp_air_C"), columns=(base,))
     assert not of_its_kind(pillar, shifts, found)
     assert (counts(pillar, shifts, found), counts(pillar, shifts, arm)) == (OTHER_WAYS, 1.0)
-    for component, kin in (("ty", True), ("rz", False)):  # growth of that rail, as its joint stands
-        assert of_its_kind(pillar, _rival("vertical", component, "q_vertical", "temp_air_C"), found) == kin
-    assert not of_its_kind(pillar, _rival("roll", "tx", "q_roll", "temp_air_C"), found)  # which yaw turns
     lengths = replace(shifts, columns=(Column("points", "scale", {}), base))  # from afar that is a shift
     assert of_its_kind(pillar, lengths, found)
     assert not of_its_kind(pillar, lengths, arm)
     post = replace(pillar, joint="vertical", frame="vertical", columns=(replace(column, args={"joint": 1}),))
-    for name, kin in (("temp_air_C", True), ("late_1_temp_rail_C", True), ("time", False)):
+    for name, kin in (("temp_air_C", True), ("late_1_temp_rail_C", True), ("time", False), ("q_vertical", False)):
         assert of_its_kind(post, replace(shifts, covariates=(name,)), found) == kin
+    assert counts(pillar, replace(shifts, covariates=("time",)), found) == 1.0
 
 
 def test_what_grows_everywhere_may_grow_more_where_a_joint_stands() -> None:

@@ -794,3 +794,25 @@ def test_a_base_that_wanders_and_turns_nearly_as_the_air_warms_is_no_growth(spac
     moved = of_size(space, np.einsum("nrc,c,n->nr", space.context.jacobian[:, :, 0], twist, course), 6.0)
     found, _ = look(replace(space, data=space.data + moved), ["drift", "thermal_growth"])
     assert [f.name for f in found] == [("drift", None)]
+
+
+def test_growth_along_what_never_turns_says_what_it_says_at_any_joint(space: Workspace) -> None:
+    """Six joints of a positioner grow upright alike: growth of each said 28.4 and whatever moves the base, by several
+    thermometers, 26.0 together (sealed 64009)."""
+    upright = [
+        Candidate("thermal_growth", joint, joint, "ty", "temp_air_C",
+                  (Column("frame", "temperature", {"place": "air", "tau": 0.0}, k, 1),))
+        for k, joint in enumerate(space.machine.joint_names, start=1)
+    ]  # fmt: skip
+    turns = Candidate("thermal_growth", "yaw", "yaw", "rz", "temp_air_C",
+                      (Column("frame", "temperature", {"place": "air", "tau": 0.0}, 4, 5),))  # fmt: skip
+    every = Candidate("thermal_growth", None, None, None, "temp_air_C", upright[0].columns)
+    candidates = [*upright, turns, every]
+    tried = Tried(space, candidates, 5e-5)
+    evidence = np.array([3.0, 1.0, 2.0, 5.0, 4.0, -2.0, 6.0, 9.0])  # yaw's turn says more than its upright growth
+    names = np.array([evidence[tried.name_of == k].max() for k in range(len(tried.names))])
+    together = float(np.logaddexp.reduce(evidence[[0, 1, 2, 4, 5]]))
+    assert all(tried.names.index(("thermal_growth", joint)) >= 0 for joint in space.machine.joint_names)
+    for best, said in ((0, together), (4, together), (6, 6.0), (7, 9.0)):
+        f = Found(best, tried.name(best), 0.0, float(evidence[best]))
+        assert standing._at_any_joint(tried, f, evidence, names) == pytest.approx(said)
