@@ -175,6 +175,7 @@ def only_shifts(named: Candidate, unturned: Unturned) -> bool:
 
 
 def never_turned(machine: Machine) -> Unturned:
+    """What points the same way wherever a machine stands, over its travel (half a turn either way without limits)."""
     lower, upper = travel(machine)
     middle = frames(machine, (lower + upper)[None] / 2)[0, :, :3, :3]
     rails = itertools.takewhile(lambda joint: joint.prismatic, machine.joints)
