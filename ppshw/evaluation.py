@@ -26,6 +26,7 @@ from ppshw.verification import QUANTILE
 
 Array = NDArray[np.float64]
 COURSES = ("clock", "clock_q")  # functions that run on with time
+FADING = ("cosine", "beat_cos", "beat_sin")  # forms of them that are forgotten, or unknown, beyond the recording
 SLACK = 0.02  # of what a column ran through where effects were measured: so far beyond it nothing is said
 
 
@@ -183,7 +184,7 @@ def evaluate(
     answer["beyond"] = _beyond(recording, calibration)
     context = Context.of(calibration.model, calibration.laid_at, whole, calibration.measuring_in_base,
                          dict(calibration.reference))  # fmt: skip
-    running = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if c.function in COURSES})
+    running = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if _runs_on(c)})
     if running and (held := int((context.clock != context.hours)[rows].sum())):
         answer["held_in_time"] = {"effects": running, "visits": held}
     timed = sorted({called(e.name, e.joint) for e in calibration.effects for c in e.columns if _goes_by_time(c)})
@@ -192,6 +193,11 @@ def evaluate(
     if any(e.name == UNNAMED for e in calibration.effects):
         answer["unexplained"] = [u.subset(rows).as_dict() for u in unexplained_at(calibration.effects, context)]
     return answer
+
+
+def _runs_on(column: Column) -> bool:
+    """Whether it goes on with time as it went, and does not fade as waves do."""
+    return column.function == "clock" and column.args["form"] not in FADING
 
 
 def _goes_by_time(column: Column) -> bool:

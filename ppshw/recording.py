@@ -35,6 +35,7 @@ LARGEST = 1e9
 LARGEST_WRENCH = 1e6  # a hundred tonnes on the sensor
 COLDEST, WARMEST = -80.0, 300.0  # °C; beyond, a thermometer that is not there
 SAID = 12  # visits by their numbers
+AT_ONCE = 10  # visits that may be of one moment
 LOAD_AGE = "load_age_s"
 NEARLY_CALLED = 0.85  # of the letters of two columns' names
 # A thermometer does not leap by so much, nor by so many times what it mostly changes from visit to visit, and is back
@@ -256,7 +257,7 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
     return Recording(
         joint_names=machine.joint_names,
         target_names=tuple(machine.targets),
-        time=cells.times("time") if "time" in cells and any(cells.raw("time")) else unknown,
+        time=_times(cells),
         step=cells.texts("step"),
         load=cells.texts("load"),
         q=q,
@@ -308,6 +309,15 @@ def _points(cells: _Cells, machine: Machine, lost_at_all: bool) -> tuple[Array, 
         names = ", ".join(machine.targets)
         raise RecordingError(f"{cells.source}: not one target was measured: every cell of {names} is empty")
     return points, extra_points
+
+
+def _times(cells: _Cells) -> Array:
+    """(N,) seconds since 1970; nan where nobody knows them: a day alone, the same at many visits, orders nothing (a
+    zero's jump was structure over its joint's position)."""
+    if "time" not in cells or not any(cells.raw("time")):
+        return np.full(len(cells), math.nan)
+    times = cells.times("time")
+    return np.full(len(cells), math.nan) if len(times) > AT_ONCE and np.ptp(times) == 0.0 else times
 
 
 def _wrench(cells: _Cells) -> tuple[Array, bool]:

@@ -89,7 +89,7 @@ def _doubts_before(machine: Any, recording: Any) -> list[str]:
 
     out = doubts_about(machine, recording)
     if not np.isfinite(recording.time).all():
-        out.append("no column time: what goes with time is said in hours at 40 visits an hour")
+        out.append("no column time that tells visits apart: what goes with time is said in hours at 40 visits an hour")
     if recording.has_wrench and not any(recording.load) and not reads_the_same(recording):
         out.append("no column load: when one was changed is known by what the force sensor read alone")
     if not recording.has_wrench and not any(recording.load):

@@ -236,8 +236,8 @@ def _evaluated(answer: Mapping[str, Any]) -> list[str]:
         lines.append(f"{many(held['visits'], 'visit')} so long before or after the calibration's own that nobody knows "
                      f"how far {' and '.join(held['effects'])} went: taken as at its start or end")  # fmt: skip
     if untimed := answer.get("untimed"):
-        lines.append(f"no column time: {' and '.join(untimed)} taken as if these visits had followed at once on the "
-                     "calibration's own")  # fmt: skip
+        lines.append(f"no column time that tells visits apart: {' and '.join(untimed)} taken as if these visits had "
+                     "followed at once on the calibration's own")  # fmt: skip
     for u in answer.get("unexplained", ()):
         over = columns_listed([column_of(name) for name in u["covariates"]])
         if u["visits_without"] == answer["visits"]:

@@ -110,7 +110,13 @@ def _misread(candidate: Candidate) -> list[Told]:
     if candidate.columns[0].function == "weighed":
         return [Told("share_of_what_no_payload_weighs", "1")]
     again = len(candidate.columns) > 1
-    return [Told(misread_name(column.args, again), misread_unit(column.args)) for column in candidate.columns]
+    return [
+        # of a turn what is read is turned back: by deflections its versine comes less than nothing (`misread`)
+        Told(
+            misread_name(column.args, again), misread_unit(column.args), -1.0 if column.args.get("times") == 2 else 1.0
+        )
+        for column in candidate.columns
+    ]
 
 
 def misread_name(args: Mapping[str, Any], again: bool) -> str:
@@ -198,6 +204,8 @@ def _weight(candidate: Candidate) -> list[Told]:
         return [Told("own_weight_share", "1")]
     if candidate.joint is None:
         return [Told(f"compliance_{COMPONENTS[column.component]}", "rad/(N m)") for column in candidate.columns]
+    if function == "hanging":  # of 1 N
+        return [Told("bend_per_metre_of_lever", f"{unit_of(candidate.component)}/m")]
     if function != "body_weight":
         return [Told("compliance", f"{unit_of(candidate.component)}/(N m)")]
     told = []

@@ -40,12 +40,22 @@ def doubt(c: Context) -> str:
     )
 
 
-def turned(columns: Sequence[Column], values: Array) -> str:
-    """By how much and about which of its axes a force sensor is mounted otherwise than its file says."""
-    angles = [
-        f"{np.degrees(np.arcsin(np.clip(value, -1.0, 1.0))):.1f}° about its {'xyz'[column.args['turned']]}"
-        for value, column in zip(values, columns, strict=True) if column.args.get("times") != 2
-    ]  # fmt: skip
+def turned(columns: Sequence[Column], values: Array, of_what_hangs: bool = False) -> str:
+    """By how much and about which of its axes a force sensor is mounted otherwise than its file says.
+
+    of_what_hangs  values go by what hangs there, not by what is read: then the second is the angle's versine, else less
+                   than nothing by as much (`misread`)
+    """
+    sines = {c.args["turned"]: v for c, v in zip(columns, values, strict=True) if c.args.get("times") != 2}
+    versines = {c.args["turned"]: v for c, v in zip(columns, values, strict=True) if c.args.get("times") == 2}
+    sign = 1.0 if of_what_hangs else -1.0
+
+    def angle(axis: int) -> float:
+        if axis in versines:
+            return float(np.degrees(np.arctan2(sines[axis], 1.0 - sign * versines[axis])))
+        return float(np.degrees(np.arcsin(np.clip(sines[axis], -1.0, 1.0))))
+
+    angles = [f"{angle(axis):.1f}° about its {'xyz'[axis]}" for axis in sines]
     return f"turned by {enumerated(angles)}"
 
 
@@ -53,7 +63,7 @@ def _error(found: Weighing) -> str:
     first = found.forms[0]
     columns, lag = [column.args for column in first.form.columns], first.form.shape.get("lag_h", 0.0)
     if "turned" in columns[0]:
-        said = f"as if it were mounted {turned(first.form.columns, first.values)}"
+        said = f"as if it were mounted {turned(first.form.columns, first.values, of_what_hangs=True)}"
     elif len(columns) <= FEW:
         numbers = [
             f"{misread_name(args, again=len(columns) > 1)} {value:.3g} ± {std:.2g} {unit}".removesuffix(" 1")

@@ -121,7 +121,7 @@ def test_what_a_recording_lacks_is_not_spoken_of_or_said_to_be_guessed(case: Cas
     assert {"backlash", "friction_hysteresis", "drift", "periodic_transmission"} <= effects(answer)
     loads, pace = answer["warnings"]
     assert loads.startswith("nothing in columns Fx … Mz, though loads change")
-    assert pace == "no column time: what goes with time is said in hours at 40 visits an hour"
+    assert pace == "no column time that tells visits apart: what goes with time is said in hours at 40 visits an hour"
 
 
 def test_a_wrong_visit_and_a_wrong_column_are_said(case: Case, tmp_path: Path) -> None:

@@ -169,6 +169,14 @@ def test_what_runs_on_with_time_is_not_carried_on_to_where_nobody_knows(hours: f
     assert ("held_in_time" in answer) == (hours in (-50.0, -1.5, 30.0))
 
 
+def test_what_fades_is_held_nowhere() -> None:
+    then = replace(later().subset(np.array([30])), time=whole().time[:1] + 30.0 * HOUR)
+    wave = Column("frame", "clock", {"form": "cosine", "tau": 2}, 0, 0)
+    for columns, held in (((wave,), False), ((wave, replace(wave, args={"form": "linear"})), True)):
+        drift = Effect("drift", None, columns, (1e-4,) * len(columns), (1e-6,) * len(columns), "by hand")
+        assert ("held_in_time" in evaluate(then, base().machine, replace(running_on(), effects=(drift,)))) == held
+
+
 def test_a_turn_that_was_seen_for_half_an_hour_is_carried_on_for_another() -> None:
     """What a drift's waves left of the last 38 minutes ran on for four hours: 0.43 mm, 0.09 without (sealed 56076)."""
     visits = later().subset(np.arange(6))
@@ -189,6 +197,11 @@ def test_what_wandered_is_forgotten_as_fast_as_it_changed() -> None:
     c = Context.of(base().model, base().theta, visits, base().measuring_in_base, frozen)
     once, twice = 0.36787944, 0.13533528  # 1/e, 1/e²
     np.testing.assert_allclose(clock(c, "cosine", 3), [once, 1.0, -1.0, -1.0, -once, -twice], atol=1e-7)
+    # a recording that begins more than an hour later, where other courses are held: it came back at its full size
+    a_day = replace(later().subset(np.arange(3)), time=whole().time[0] + (2.0 + np.array([1.05, 1.5, 24.0])) * HOUR)
+    c = Context.of(base().model, base().theta, a_day, base().measuring_in_base, dict(frozen))
+    assert set(clock(c, "linear")) == {2.0}
+    np.testing.assert_allclose(clock(c, "cosine", 3), -np.exp(-np.array([1.05, 1.5, 24.0]) / radian), atol=1e-7)
 
 
 def test_what_runs_on_is_said_to_where_no_time_is_known() -> None:

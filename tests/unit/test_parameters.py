@@ -202,10 +202,14 @@ def test_forces_and_moments_in_other_units_are_said_to_be_that(
 def test_a_sensor_that_is_mounted_turned_is_said_to_be_that(space: Workspace) -> None:
     turns = [k for k in library(space.context) if "turned" in k.columns[0].args]
     about_z = next(k for k in turns if k.columns[0].args["turned"] == 2)
-    values = np.array([np.sin(0.2), 1.0 - np.cos(0.2)])
-    said = sentence(space.context, about_z, values, 1e-4)
-    assert " reads as if it were mounted turned by 11.5° about its z (" in said
-    assert list(numbers_of(space.context, about_z, values, np.eye(2))) == ["turned_z", "turned_z_versine"]
+    for angle, words in ((0.2, "11.5"), (2.0, "114.6"), (-2.5, "-143.2"), (np.pi, "180.0")):
+        values = np.array([np.sin(angle), np.cos(angle) - 1.0])  # what is read is turned back
+        said = sentence(space.context, about_z, values, 1e-4)
+        assert f" reads as if it were mounted turned by {words}° about its z (" in said
+        numbers = numbers_of(space.context, about_z, values, np.eye(2))
+        assert list(numbers) == ["turned_z", "turned_z_versine"]
+        assert numbers["turned_z"]["value"] == pytest.approx(np.sin(angle))
+        assert numbers["turned_z_versine"]["value"] == pytest.approx(1.0 - np.cos(angle))
     askew = next(k for k in turns if len(k.columns) == 3)
     said = sentence(space.context, askew, np.array([0.02, 0.0, -0.05]), 1e-4)
     assert " turned by 1.1° about its x, 0.0° about its y and -2.9° about its z (" in said
@@ -370,6 +374,8 @@ def test_names_and_units_say_what_each_number_is(space: Workspace) -> None:
     assert said("creep", creeps, None, "since_load_change") == {"share": (1.0, "1")}
     bends = (by("creeping", 3, frame=2, component=3, tau=0.1, form="log"),)
     assert said("creep", bends, "rx", "since_load_change") == {"compliance": (-1.0, "rad/(N m)")}
+    hangs = (by("hanging", 3, frame=2, component=3, joint=2),)  # of 1 N: its weight times what bends there
+    assert said("moving_weight", hangs, "rx", "q_yaw") == {"bend_per_metre_of_lever": (1.0, "rad/m")}
     warm = tuple(by("temperature", 1, place=place, tau=0.0) for place in ("rail", "hall"))
     assert said("thermal_growth", warm, "ty", "temp_rail_C") == {
         "per_kelvin_rail": (1.0, "m/K"), "per_kelvin_hall": (1.0, "m/K"),

@@ -113,6 +113,17 @@ def test_only_what_was_commanded_must_be_inside_the_limits(tmp_path: Path) -> No
         read(tmp_path, "q_rail,q_cmd_turn,P1_x,P1_y,P1_z", "0.81,0,0,0,0", "0.81,-1.6,0,0,0")
 
 
+@pytest.mark.parametrize(("visits", "known"), [(10, True), (11, False)])
+def test_a_day_alone_says_when_no_visit_was(tmp_path: Path, visits: int, known: bool) -> None:
+    """What goes on with time had no course then, and a zero's jump was structure over its joint's position (a
+    reviewer's); without the column visits are counted."""
+    rows = [f"2024-05-01,0.1,{0.01 * k},1,2,{k}" for k in range(visits)]
+    assert np.isfinite(read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *rows).time).all() == known
+    assert np.isfinite(
+        read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *rows[:-1], rows[-1].replace("-01", "-02")).time
+    ).all()
+
+
 def test_time_is_utc_whatever_way_it_is_written(tmp_path: Path) -> None:
     written = ["2026-03-02T06:00:00Z", "2026-03-02 06:00:01", "2026-03-02T08:00:02+02:00", "2026-03-02T06:00:02.000Z"]
     found = read(tmp_path, "time,q_rail,q_turn,P1_x,P1_y,P1_z", *(f"{t},0,0,0,0,0" for t in written))

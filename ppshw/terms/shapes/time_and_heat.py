@@ -44,7 +44,7 @@ def clock(c: Context, form: str, tau: float = 1.0) -> Array:
         case "until":
             return np.clip(t, -tau, tau)
         case "cosine":  # what wanders without a law is forgotten as fast as it changed
-            phase, whole = np.pi * tau * t / lasted(), np.pi * tau
+            phase, whole = np.pi * tau * c.hours / lasted(), np.pi * tau
             inside = np.clip(phase, 0.0, whole)
             return np.asarray(np.cos(inside) * np.exp(-np.abs(phase - inside)))
         case "beat_cos" | "beat_sin":  # where a beat is later, nobody knows
