@@ -314,10 +314,11 @@ def _points(cells: _Cells, machine: Machine, lost_at_all: bool) -> tuple[Array, 
 def _times(cells: _Cells) -> Array:
     """(N,) seconds since 1970; nan where nobody knows them: a day alone, the same at many visits, orders nothing (a
     zero's jump was structure over its joint's position)."""
+    unknown = np.full(len(cells), math.nan)
     if "time" not in cells or not any(cells.raw("time")):
-        return np.full(len(cells), math.nan)
+        return unknown
     times = cells.times("time")
-    return np.full(len(cells), math.nan) if len(times) > AT_ONCE and np.ptp(times) == 0.0 else times
+    return unknown if len(times) > AT_ONCE and np.ptp(times) == 0.0 else times
 
 
 def _wrench(cells: _Cells) -> tuple[Array, bool]:

@@ -248,8 +248,10 @@ def _by_itself(
 def _at_any_joint(tried: Tried, f: Found, evidence: Array, names: Array) -> float:
     """What a name says; growth along what never turns at whichever joint, since nothing tells them apart."""
     own = float(names[tried.names.index(f.name)])
+    if f.name[0] != "thermal_growth":
+        return own
     unturned = never_turned(tried.space.machine)
-    if f.name[0] != "thermal_growth" or not only_shifts(tried.candidates[f.best], unturned):
+    if not only_shifts(tried.candidates[f.best], unturned):
         return own
     same = [k for k, name in enumerate(tried.names) if name[0] == f.name[0] and name[1] is not None]
     alike = [names[k] for k in same if only_shifts(tried.candidates[tried.strongest(evidence, k)], unturned)]

@@ -101,7 +101,8 @@ def _largest(r: Recording) -> Array:
 def _gravity_as_read(c: Context) -> Array:
     """(3,) in the base, where what hangs there is pulled to by the forces; as strong as the machine file has it."""
     size, mass = float(np.linalg.norm(c.machine.gravity)), payloads_of(c)[:, 0] * weighed_often(c)
-    along = [gravity_in_sensor(replace(c.machine, gravity=axis), chain_as_read(c)) for axis in np.eye(3)]
+    chain = chain_as_read(c)
+    along = [gravity_in_sensor(replace(c.machine, gravity=axis), chain) for axis in np.eye(3)]
     pulls = (mass[:, None, None] * np.stack(along, axis=2)).reshape(-1, 3)
     found = np.linalg.lstsq(pulls, c.recording.wrench[:, :3].ravel(), rcond=1e-6)[0]
     strength = float(np.linalg.norm(found))
