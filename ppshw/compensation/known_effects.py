@@ -320,9 +320,11 @@ class KnownEffects:
                 follows = by_clock(column) or column.args.get("name") == "time"
                 if effect.of_instrument or not follows or stays or column.args.get("form") in BEFORE_IT:
                     continue
-                where = (column.frame, column.component) if column.on == "frame" else (slice(None), slice(None))
                 for k, size in enumerate(self._over_time(column, context)):
-                    each[k, *where] += value * size
+                    if column.on == "frame":
+                        each[k, column.frame] += value * size * context.direction(column.frame, column.component)
+                    else:
+                        each[k] += value * size
         return [(each - each.mean(axis=0)) / np.sqrt(GRID)] if each.any() else []
 
     def _over_time(self, column: Column, context: Context) -> Array:
@@ -344,7 +346,7 @@ class KnownEffects:
             return
         size = self._now(effect, column, contexts[column.function in FROM_WAY])
         if column.on == "frame":
-            out[0, column.frame, column.component] += value * size
+            out[0, column.frame] += value * size * contexts[0].direction(column.frame, column.component)
         else:
             out[0] += value * size
 

@@ -18,6 +18,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.gaussian_process import Correction, in_words, learn
 from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.sampled import called
 from ppshw.diagnosis.wording import column_of, history_of, listed
 from ppshw.diagnosis.workspace import Workspace, folds
 from ppshw.identification.plausible import wrench_never_changes
@@ -202,7 +203,7 @@ def _words(space: Workspace, left: _Left, correction: Correction) -> dict[str, A
 def _held_words(space: Workspace, candidate: Candidate, f: Found) -> dict[str, Any]:
     """What goes on with time alone, in the answer's words."""
     hours = space.context.hours
-    moved = sorted({COMPONENTS[c.component] for c in candidate.columns if c.on == "frame"})
+    moved = sorted({called(space.context, c.frame, c.component) for c in candidate.columns if c.on == "frame"})
     return {
         "effect": "unexplained",
         "covariates": ["time"],

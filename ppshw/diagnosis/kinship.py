@@ -17,6 +17,7 @@ from ppshw.kinematics import frames, travel
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
+from ppshw.terms.shapes.context import ALONG
 
 # A function of a link's own load that is finest where it changes sign may be clearance. It may say so much more than a
 # stiffness that is no more than that: stiffness between two knees was 1.5 % behind (798 and 810), clearance called
@@ -122,7 +123,7 @@ def counts(named: Candidate, rival: Candidate, unturned: Unturned = Unturned()) 
         return WOUND_UP if here and winds_up(named, rival) else 1.0
     if named.effect != "backlash" or rival.covariates[:1] != (named.covariate,):
         return 1.0
-    beside = [COMPONENTS[column.component] for column in named.columns[1:]]
+    beside = [COMPONENTS[column.component] for column in named.columns[1:] if column.component != ALONG]
     if len(rival.covariates) == 1 and rival.component in beside:
         return 1.0  # what rocks sideways alone is a cable
     as_friction = any(name.startswith("way_") for name in rival.covariates)

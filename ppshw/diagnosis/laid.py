@@ -50,7 +50,6 @@ class Laid:
         of_group, elsewhere = _sorted(columns)
         self._values = np.empty((sum(map(len, of_group.values())), fit), dtype=np.float32)
         self._fields = np.empty((len(elsewhere), fit * rows), dtype=np.float32)
-        jacobian = np.moveaxis(space.context.jacobian, (2, 3), (0, 1))  # (n+1, 6, N, 3T)
         readings = max(int(space.recording.seen.sum()), 1)
         known: dict[What, Array] = {}
         block = np.empty((BLOCK, len(space.fit)))
@@ -58,7 +57,7 @@ class Laid:
         self._spans: list[slice] = []
         at = 0
         for (frame, component), members in of_group.items():
-            there = jacobian[frame, component]
+            there = space.context.moved(frame, component)
             squares = (there**2).sum(axis=1)
             self._place[members] = np.arange(at, at + len(members))
             self._group[members] = len(self._white)

@@ -10,6 +10,7 @@ from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.context import ALONG
 
 MORE_BY_LOAD = "added_at_twice_the_load"  # of lost motion
 
@@ -46,7 +47,8 @@ def _backlash(candidate: Candidate) -> list[Told]:
 def rocks(candidate: Candidate) -> str:
     """About which axis a carriage rocks as it turns back, or along which it moves besides, for the sentence; empty
     where it does not."""
-    across = [COMPONENTS[k.component] for k in candidate.columns if COMPONENTS[k.component] != candidate.component]
+    frames = [k.component for k in candidate.columns if k.component != ALONG]
+    across = [COMPONENTS[component] for component in frames if COMPONENTS[component] != candidate.component]
     if not across:
         return ""
     return f" and {'rocks' if across[0].startswith('r') else 'moves sideways'} ({across[0]})"

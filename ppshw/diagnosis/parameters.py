@@ -15,6 +15,7 @@ from ppshw.diagnosis.parameter_names import load_unit, shape_unit, told_of, unit
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
+from ppshw.terms.shapes.context import ALONG
 from ppshw.terms.shapes.time_and_heat import clock
 
 Array = NDArray[np.float64]
@@ -75,13 +76,14 @@ def scale_holds_at(c: Context, candidate: Candidate) -> float | None:
 
 def along_its_axis(c: Context, candidate: Candidate) -> Array:
     """(k,) by what a candidate's coefficients are multiplied to be along its joint's own axis, or about it: that may
-    point the other way than the frame's nearest to it, or between two."""
+    point the other way than the frame's."""
     out = np.ones(len(candidate.columns))
     if candidate.effect not in OF_THE_JOINT or candidate.joint is None:
         return out
     joint = c.machine.joint_names.index(candidate.joint)
     own = own_component(c, joint)
-    out[[column.component == own for column in candidate.columns]] = 1.0 / c.machine.joints[joint].axis[own % 3]
+    if own != ALONG:
+        out[[column.component == own for column in candidate.columns]] = np.sign(c.machine.own_ways[joint, own])
     return out
 
 

@@ -22,7 +22,7 @@ from ppshw.diagnosis.kinship import (
     stranger_than,
     winds_up,
 )
-from ppshw.diagnosis.library.sampled import within
+from ppshw.diagnosis.library.sampled import called, within
 from ppshw.diagnosis.library.weighing import surely_misread
 from ppshw.diagnosis.shadows import SHADOW, goes_with_a_load, same_place
 from ppshw.diagnosis.workspace import Workspace
@@ -269,9 +269,10 @@ def _here(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces:
     component, and what its joint does across that makes up for nothing there (stiffness as a clearance, another
     author's 37016). The others are then taken up."""
     ways = {tried.candidates[g.best].component for g in (f, *pieces)}
+    kept = [[k for k in g.near if k not in g.more] for g in (f, *pieces)]
     mine = [
-        replace(g, near=tuple(k for k in g.near if COMPONENTS[k.component] in ways and k not in g.more), more=())
-        for g in (f, *pieces)
+        replace(g, near=tuple(k for k in near if called(space.context, k.frame, k.component) in ways), more=())
+        for g, near in zip((f, *pieces), kept, strict=True)
     ]
     return _beside(space, tried, mine, others)
 

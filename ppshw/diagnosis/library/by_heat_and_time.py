@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import AIR, LAGS_H, moving_joints, own_component, temperature_places
+from ppshw.diagnosis.library.sampled import AIR, LAGS_H, moving_joints, nearest_component, temperature_places
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -27,7 +27,7 @@ def thermal(c: Context) -> Iterator[Candidate]:
                 every = Column("frames", "link_growth", {**args, "joint": -1})
                 yield Candidate("thermal_growth", None, None, None, f"temp_{place}_C", (every,), {"lag_h": tau})
             for k, name in moving_joints(c):
-                own = own_component(c, k)
+                own = nearest_component(c, k)
                 along = Column("frames", "link_growth", {**args, "joint": k})
                 if np.any(along.value(c)):
                     yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", (along,), {"lag_h": tau})

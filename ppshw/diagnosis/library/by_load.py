@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import elastic_frames, loads_on, own_component
+from ppshw.diagnosis.library.sampled import elastic_frames, loads_on, nearest_component
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.elastic import skew
@@ -226,7 +226,7 @@ def _softer_over_a_stretch(c: Context, frame: int, b: int) -> Iterator[Candidate
 def _softer_one_way(c: Context, frame: int) -> Iterator[Candidate]:
     """A turning joint whose bearing gives way more to tilt in one direction of its housing."""
     joint = c.machine.joints[frame - 1]
-    across = [b for b in loads_on(c, frame) if b >= 3 and b != own_component(c, frame - 1)]
+    across = [b for b in loads_on(c, frame) if b >= 3 and b != nearest_component(c, frame - 1)]
     if not across:
         return
     columns = tuple(

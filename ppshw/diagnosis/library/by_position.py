@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, own_component, waving_joints
+from ppshw.diagnosis.library.sampled import called, moving_joints, own_component, waving_joints
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -57,7 +57,7 @@ def _single_waves(c: Context, k: int, component: int, periods: Sequence[float]) 
         args = {"joint": k, "period": period}
         pair = tuple(Column("frame", "wave", {**args, "phase": p}, k + 1, component) for p in ("sin", "cos"))
         yield Candidate(
-            "periodic_transmission", name, name, COMPONENTS[component], f"q_{name}", pair, {"period": period},
+            "periodic_transmission", name, name, called(c, k + 1, component), f"q_{name}", pair, {"period": period},
             share=1.0 / len(periods),
         )  # fmt: skip
 

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import MOMENTS, moments_between, moving_joints, own_component
-from ppshw.terms import COMPONENTS
+from ppshw.diagnosis.library.sampled import MOMENTS, called, moments_between, moving_joints, own_component
 from ppshw.terms.shapes import Column, Context
 
 ORDINALS = ("", "second_", "third_", "fourth_")
@@ -29,7 +28,7 @@ class Jumps:
 def zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
         own = own_component(c, k)
-        where = ("zero_shift", name, name, COMPONENTS[own], "time")
+        where = ("zero_shift", name, name, called(c, k + 1, own), "time")
         every, some = visits_between(c), moments_between(c, MOMENTS)
         for moment in every:
             yield Candidate(*where, (shift_of_zero(c, k, moment),), {"time_h": moment}, 1.0 / len(every))

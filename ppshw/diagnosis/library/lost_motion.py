@@ -9,9 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import came_from_both_sides, moving_joints, own_component, presses, tilts
+from ppshw.diagnosis.library.sampled import (
+    called,
+    came_from_both_sides,
+    moving_joints,
+    nearest_component,
+    own_component,
+    presses,
+    tilts,
+)
 from ppshw.recording import STANDSTILL
-from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
@@ -35,7 +42,7 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
         if not came_from_both_sides(c, k):
             continue
         own = own_component(c, k)  # what pulls sideways alone, a cable, is no lost motion
-        where = ("backlash", name, name, COMPONENTS[own], f"approach_{name}")
+        where = ("backlash", name, name, called(c, k + 1, own), f"approach_{name}")
         for width, column in _taken_up(c, k, SOFT_WALLS):
             if not winds_up(c, k, width, lost.get(name)):
                 yield Candidate(*where, (column,), {"width": width}, 0.05)
@@ -47,14 +54,14 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
         for taken, share in _by_its_load(c, k, sign):  # a gap that the load takes up
             yield Candidate(*where, (sign, taken), share=share)
         for comp in range(6):
-            if comp != own:  # a carriage that rocks as it turns back
+            if comp != nearest_component(c, k):  # a carriage that rocks as it turns back
                 rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)
                 yield Candidate(*where, (sign, rocks), share=0.02)
 
 
 def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
     for k, name in moving_joints(c):
-        where = ("friction_hysteresis", name, name, COMPONENTS[own_component(c, k)], f"move_{name}")
+        where = ("friction_hysteresis", name, name, called(c, k + 1, own_component(c, k)), f"move_{name}")
         # of a joint that comes from one side alone lost motion of any kind is friction
         parts = WINDS_UP if came_from_both_sides(c, k) else np.concatenate([SOFT_WALLS[-1:], WINDS_UP])
         if came_from_both_sides(c, k):
@@ -83,7 +90,7 @@ def winds_up(c: Context, k: int, way: float, known: float | None = None) -> bool
     travel = float(np.ptp(c.recording.q[:, k]))
     if known is not None:
         return way > max(SOFTEST_KNOWN * known, float(SOFT_WALLS[0]) * travel * (1 + 1e-9))
-    moves = c.jacobian[:, :, k + 1, own_component(c, k)].reshape(len(c.hours), -1, 3)
+    moves = c.moved(k + 1, own_component(c, k)).reshape(len(c.hours), -1, 3)
     lever = float(np.sqrt((moves**2).sum(axis=2).mean()))
     lost = 2 * 3.0 * (c.machine.repeatability or TYPICAL) / max(lever, 1e-9)
     return way > float(np.clip(SOFTEST * lost, SOFT_WALLS[0] * travel, SOFT_WALLS[-1] * travel)) * (1 + 1e-9)

@@ -8,19 +8,33 @@ import numpy as np
 
 from ppshw.identification.plausible import LOADED_N, LOADED_NM
 from ppshw.machine import Machine
+from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.context import ALONG
 
 AIR = "air"  # the place of a thermometer that hangs in it
 LAGS_H = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # behind a thermometer
+STRAIGHT = 1 - 1e-6  # of its unit vector: an axis within a milliradian of its frame's is along it
 VARIES = 0.05  # of its largest value: a load that varies less is constant
 FEW_PLACES = 12  # at which a joint stood: through so many any wave goes (a judgement)
 MOMENTS = 40  # at which something may have happened, where trying every moment would take too long
 
 
 def own_component(c: Context, k: int) -> int:
-    """The component of its frame in which joint k moves."""
+    """The component of its frame in which joint k moves; `ALONG` where its axis is oblique to all of the frame's."""
+    oblique = np.abs(c.machine.joints[k].axis).max() < STRAIGHT
+    return ALONG if oblique else nearest_component(c, k)
+
+
+def nearest_component(c: Context, k: int) -> int:
+    """The component of its frame that is nearest to where joint k moves."""
     axis = np.abs(c.machine.joints[k].axis)
     return int(np.argmax(axis)) + (0 if c.machine.joints[k].prismatic else 3)
+
+
+def called(c: Context, frame: int, component: int) -> str:
+    """What a component of a frame is called; along an oblique axis what is nearest to it."""
+    return COMPONENTS[nearest_component(c, frame - 1) if component == ALONG else component]
 
 
 def moving_joints(c: Context) -> Iterator[tuple[int, str]]:
@@ -52,7 +66,7 @@ def loads_on(c: Context, frame: int) -> list[int]:
 def presses(c: Context, k: int) -> list[int]:
     """By which loads that really vary lost motion of joint k and its teeth may go: the force upon it (-1), or what its
     drive holds (a component)."""
-    own, force = own_component(c, k), np.linalg.norm(c.wrenches[:, k + 1, :3], axis=1)
+    own, force = nearest_component(c, k), np.linalg.norm(c.wrenches[:, k + 1, :3], axis=1)
     out = [-1] if np.ptp(force) > VARIES * force.max() else []
     return [*out, own] if own in loads_on(c, k + 1) else out
 

@@ -13,6 +13,7 @@ from ppshw.diagnosis.library.sampled import (
     came_from_both_sides,
     loads_on,
     moving_joints,
+    nearest_component,
     own_component,
     temperature_places,
 )
@@ -65,7 +66,7 @@ def reversals(c: Context) -> Iterator[Candidate]:
                 Column("frame", "approach", {"joint": k}, k + 1, own),
                 Column("frame", "covariate_pair", both, k + 1, own),
             ])  # fmt: skip
-        for comp in set(range(6)) - {own_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
+        for comp in set(range(6)) - {nearest_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
             side = Column("frame", "approach", {"joint": k}, k + 1, comp)
             where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
             yield rival(c, k + 1, comp, (came,), (side,))

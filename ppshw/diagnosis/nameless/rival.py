@@ -10,9 +10,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import moving_joints, nobody_knows, read_channels, temperature_places
+from ppshw.diagnosis.library.sampled import called, moving_joints, nobody_knows, read_channels, temperature_places
 from ppshw.machine import WRENCH_COMPONENTS
-from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 
 Array = NDArray[np.float64]
@@ -27,8 +26,9 @@ def rival(
 ) -> Candidate:  # fmt: skip
     """Columns over some names that move a frame in one component; None: in several, or no frame."""
     where = None if frame is None else c.machine.frame_names[frame]
+    way = None if frame is None or comp is None else called(c, frame, comp)
     return Candidate(
-        "nameless", None, where, None if comp is None else COMPONENTS[comp], " × ".join(names), tuple(columns),
+        "nameless", None, where, way, " × ".join(names), tuple(columns),
         covariates=names,
     )  # fmt: skip
 

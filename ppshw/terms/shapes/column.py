@@ -35,7 +35,8 @@ Key = tuple[str, What, int, int]
 
 @dataclass(frozen=True)
 class Column:
-    """on: "frame" | "frames" | "points"; frame, component where on a frame; function and its arguments."""
+    """on: "frame" | "frames" | "points"; frame, component (0 to 5, or `ALONG`) where on a frame; function and its
+    arguments."""
 
     on: str
     function: str
@@ -61,7 +62,7 @@ class Column:
         """(N, 3T) displacement of the targets per unit of the column's coefficient, base axes."""
         value = self.value(c)
         if self.on == "frame":
-            return np.asarray(c.jacobian[:, :, self.frame, self.component] * value[:, None])
+            return np.asarray(c.moved(self.frame, self.component) * value[:, None])
         if self.on == "frames":
             return np.asarray(np.einsum("nifk,nfk->ni", c.jacobian, value))
         return np.asarray(value.reshape(len(value), -1))

@@ -20,6 +20,7 @@ from ppshw.terms.history import hours_since
 
 Array = NDArray[np.float64]
 UNTIMED = 0.0  # start of a recording without times
+ALONG = 6  # component of a joint's frame: along or about the joint's own axis, where that is none of the frame's
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,16 @@ class Context:
         """(N, T, 3, 6 + 6n) how points move with the end effector about its origin, and with every joint (`Noise`)."""
         joints = self.jacobian[:, :, 1:].reshape(*self.points.shape, -1)
         return np.concatenate([tip_levers(self.points - self.tips[:, None, :3, 3]), joints], axis=3)
+
+    def direction(self, frame: int, component: int) -> Array:
+        """(6,) of a component of a frame; of `ALONG` the frame's joint's own."""
+        return np.asarray(self.machine.own_ways[frame - 1] if component == ALONG else np.eye(6)[component])
+
+    def moved(self, frame: int, component: int) -> Array:
+        """(N, 3T) how targets move with a frame in one component."""
+        if component != ALONG:
+            return self.jacobian[:, :, frame, component]
+        return np.asarray(self.jacobian[:, :, frame] @ self.direction(frame, component))
 
     def u(self, joint: int) -> Array:
         """Joint position scaled to −1 … 1 over what was sampled."""
