@@ -29,6 +29,7 @@ from ppshw.terms import Situation
 from ppshw.terms.effect import Effect, instrument_error
 from ppshw.terms.history import hours_since_change
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.context import ALONG
 from ppshw.terms.shapes.covariates import loads_came
 from ppshw.terms.shapes.creep import OLDEST_LOAD_H
 from simulators.offline import simulate_recording_csv
@@ -106,6 +107,23 @@ def test_the_direction_may_be_given_without_the_start() -> None:
     change = both[1].predicted_error - both[0].predicted_error
     np.testing.assert_allclose(change, [0, -GAP, 0], atol=0.02 * GAP)
     assert np.linalg.norm(both[0].std) > np.linalg.norm(asked(Compensator(base()[1])).std)
+
+
+@pytest.mark.parametrize(("name", "function", "args"), [
+    ("backlash", "approach", {"joint": VERTICAL}), ("zero_shift", "clock", {"form": "linear", "tau": 1.0}),
+])  # fmt: skip
+def test_what_a_joint_does_along_its_own_axis_is_taken_out_along_it(
+    name: str, function: str, args: dict[str, object]
+) -> None:
+    """As where an axis is none of its frame's; this one is both."""
+    by_frame, by_axis = (
+        asked(knowing(name, "vertical", Column("frame", function, args, VERTICAL + 1, component), 1e-4), start=BELOW)
+        for component in (TY, ALONG)
+    )
+    np.testing.assert_allclose(by_axis.corrected, by_frame.corrected, atol=1e-12)
+    np.testing.assert_allclose(by_axis.std, by_frame.std, rtol=1e-9)
+    plain = asked(Compensator(base()[1]), start=BELOW)
+    assert by_axis.std[1] > 1.001 * plain.std[1]
 
 
 @pytest.mark.parametrize("lateral", [-0.05, 0.05])
