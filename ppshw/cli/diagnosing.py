@@ -15,6 +15,7 @@ from ppshw.cli.answers import (
     REPORT_S,
     TWINNED_PER_S,
     Kind,
+    as_they_stand,
     columns_named,
     doubts_about,
     figure_row,
@@ -165,6 +166,7 @@ def twin(a: argparse.Namespace) -> None:
     """twin: the visits of a recording, simulated by a calibration; and whether the recording is like that."""
     from ppshw.calibration import load_calibration
     from ppshw.diagnosis.checks import sentence
+    from ppshw.diagnosis.columns import plain_mistakes
     from ppshw.evaluation import figures, outside, residuals
     from ppshw.identification.plausible import refuse_another_machine
     from ppshw.recording import check_machine, parse_table, read_table
@@ -179,7 +181,7 @@ def twin(a: argparse.Namespace) -> None:
     with columns_named(machine, recording):
         refuse_another_machine(machine, recording)
     recorded = figures(residuals(recording, calibration))
-    warnings = doubts_about(machine, recording, calibration)
+    warnings = doubts_about(machine, recording, calibration) + as_they_stand(plain_mistakes(machine, recording)[1])
     warn(a.rec, warnings)
     with Bar() as bar, bar.expect("twin", len(recording) / TWINNED_PER_S):
         made = twin_table(table, recording, simulate(calibration, recording, a.seed))

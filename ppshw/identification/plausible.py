@@ -18,7 +18,7 @@ from ppshw.kinematics import frames, joint_jacobian, point_positions, tip_poses
 from ppshw.machine import RADIUS_986, Machine
 from ppshw.machine import doubts as doubts_of_file
 from ppshw.quantities import distance, many
-from ppshw.recording import Recording, directions, listed
+from ppshw.recording import Recording, listed
 from ppshw.statics import gravity_in_sensor
 from ppshw.terms.history import payloads, unseen_moment, weighs
 from ppshw.transforms import fit_rigid
@@ -41,9 +41,9 @@ NOISIER = 6.0
 SCATTERED = 2.0  # times what the machine file says of the instrument
 ROUNDS = 20
 BLOCK = 4096
-# A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that; and
-# a joint is hardly ever gone past where it came to, at more than half of the visits. Ours.
-ELSEWHERE, BY_A_ROW, AGAINST = 0.01, 0.2, 0.9
+# A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that.
+# Ours.
+ELSEWHERE, BY_A_ROW = 0.01, 0.2
 ENOUGH_TO_SAY = 500  # visits that say how far a joint moves reflectors
 AT_REST_M = 5e-5  # that a servo at rest may move the reflectors, of a beam's 0.5 mm
 
@@ -172,7 +172,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         )
     if hardly := _hardly_loaded(recording):
         said.append(hardly)
-    said += [*_where_it_was_not_sent(machine, recording), *_against_its_way(machine, recording)]
+    said += _where_it_was_not_sent(machine, recording)
     said += [
         f"{joint} rests {far} from where it was sent: what is fitted goes by q_{joint}, and a setpoint is as far off"
         for joint, far in rests_off(machine, recording).items()
@@ -258,19 +258,6 @@ def sides_seen(recording: Recording) -> dict[str, int]:
         if len(told) >= OF_A_LABEL and np.ptp(told) == 0:
             out[name] = int(told[0])
     return out
-
-
-def _against_its_way(machine: Machine, recording: Recording) -> list[str]:
-    """A line for each joint whose direction of approach is against nearly every way that it went between visits."""
-    went = directions(recording.q)
-    against = went * recording.approach < 0
-    told = (went != 0) & (recording.approach != 0)
-    return [
-        f"approach_{joint.name} is against the way that q_{joint.name} went at {100 * share:.0f} % of the visits: is "
-        "its sign turned?"
-        for k, joint in enumerate(machine.joints)
-        if told[:, k].sum() >= OF_A_LABEL and (share := against[told[:, k], k].mean()) > AGAINST
-    ]
 
 
 def loads_not_measured(recording: Recording) -> str:

@@ -99,6 +99,45 @@ def test_two_joints_that_are_exchanged(case: tuple[Machine, Recording], one: int
     assert np.array_equal(mended.q, recording.q)
 
 
+@pytest.mark.parametrize("joint", [0, 3])
+def test_directions_of_approach_that_are_against_every_way(case: tuple[Machine, Recording], joint: int) -> None:
+    """Play of 0.25 mm was friction that runs ahead, and setpoints by it twice as far off (a reviewer's)."""
+    machine, recording = case
+    approach = recording.approach.copy()
+    approach[:, joint] *= -1
+    mended, found = plain_mistakes(machine, replace(recording, approach=approach))
+    assert [(m.column, m.factor) for m in found] == [(f"approach_{machine.joint_names[joint]}", -1.0)]
+    assert np.array_equal(mended.approach, recording.approach)
+    approach[: len(approach) // 3, joint] *= -1  # a third of the visits: it may have gone past where it came to
+    assert plain_mistakes(machine, replace(recording, approach=approach))[1] == []
+
+
+def test_directions_of_approach_that_are_exchanged(case: tuple[Machine, Recording]) -> None:
+    """Play was structure over another joint's direction, without a word (a reviewer's)."""
+    machine, recording = case
+    approach = recording.approach.copy()
+    approach[:, [1, 4]] = approach[:, [4, 1]]
+    mended, found = plain_mistakes(machine, replace(recording, approach=approach))
+    names = machine.joint_names
+    assert [m.said for m in found] == [f"the columns approach_{names[1]} and approach_{names[4]} are exchanged"]
+    assert np.array_equal(mended.approach, recording.approach)
+    approach[:, [1, 4]] = 1  # always from one side, whichever way the last visit lies
+    assert plain_mistakes(machine, replace(recording, approach=approach))[1] == []
+
+
+def test_directions_that_go_by_positions_with_a_mistake_are_set_right_with_them(
+    case: tuple[Machine, Recording],
+) -> None:
+    """As where nobody wrote directions down: they are those of the setpoints."""
+    machine, recording = case
+    q, approach = recording.q.copy(), recording.approach.copy()
+    q[:, 3] *= -1
+    approach[:, 3] *= -1
+    mended, found = plain_mistakes(machine, replace(recording, q=q, approach=approach))
+    assert [m.column for m in found] == [f"q_{machine.joint_names[3]}"]
+    assert np.array_equal(mended.approach, recording.approach)
+
+
 @pytest.mark.parametrize("lost", ["of the reflectors", "of the joints"])
 def test_a_row_that_was_lost_in_some_of_the_columns(case: tuple[Machine, Recording], lost: str) -> None:
     """229 of 479 visits were simply wrong (a reviewer's)."""

@@ -207,17 +207,6 @@ def test_air_in_degrees_fahrenheit_is_asked_about(measured: tuple[Machine, Recor
     assert said == ["temp_air_C reads 70 °C; is that degrees Fahrenheit?"]
 
 
-def test_directions_of_approach_against_every_way_are_said(measured: tuple[Machine, Recording]) -> None:
-    machine, recording = measured
-    approach = recording.approach.copy()
-    approach[:, 1] *= -1
-    said = doubts(machine, replace(recording, approach=approach))
-    assert len(said) == 1
-    assert said[0].startswith(f"approach_{machine.joint_names[1]} is against the way that")
-    approach[: len(approach) // 2, 1] *= -1  # half of the visits: it may have gone past where it came to
-    assert doubts(machine, replace(recording, approach=approach)) == []
-
-
 def test_loads_of_less_than_two_kilograms_are_asked_about(measured: tuple[Machine, Recording]) -> None:
     """All six columns in kilonewtons and kilonewton metres were creep of a joint with 0.95."""
     machine, recording = measured

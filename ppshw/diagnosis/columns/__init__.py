@@ -3,6 +3,7 @@ centimetres, a payload hangs down, and a mistake of a whole column is not to be 
 
     mistake.py    what is wrong, in words and in the contract's form
     positions.py  joints and reflectors, by where the ideal machine has them
+    sides.py      directions of approach, by the ways that joints went
     payloads.py   forces and moments, by what a payload may be
     moments.py    their sign, by the machine that gives way to them
 
@@ -17,6 +18,7 @@ from ppshw.diagnosis.columns.mistake import Mistake
 from ppshw.diagnosis.columns.moments import doubts_of_moments, with_their_sign
 from ppshw.diagnosis.columns.payloads import doubts_of_gravity, mistaken_units, mistaken_wrenches
 from ppshw.diagnosis.columns.positions import a_row_off, askew, exchanged_at_times, mistaken_positions
+from ppshw.diagnosis.columns.sides import mistaken_sides
 from ppshw.identification.plausible import is_another_machine
 from ppshw.machine import Machine
 from ppshw.recording import Recording
@@ -36,6 +38,7 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
     """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
     forces have the opposite one. What leaves the recording none of this machine's is no correction."""
+    at_first = recording
     recording, found = a_row_off(machine, recording)
     recording, exchanged = exchanged_at_times(machine, recording)
     found += exchanged
@@ -51,4 +54,5 @@ def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, l
         # of some rows only, or of more
         if look is mistaken_positions and found and is_another_machine(machine, recording):
             recording, found = given, list(before)
-    return recording, found
+    recording, turned = mistaken_sides(at_first, recording)
+    return recording, found + turned
