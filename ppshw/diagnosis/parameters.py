@@ -12,6 +12,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.parameter_names import load_unit, shape_unit, told_of, unit_of
+from ppshw.diagnosis.sensor_words import numbers_by_gravity
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
@@ -54,6 +55,8 @@ def numbers_of(
             told.name: _entry(v * told.factor, s * abs(told.factor), told.unit)
             for told, v, s in zip(told_of(candidate), values, std, strict=True)
         }
+    if candidate.columns[0].function == "weighed":
+        out |= {number.name: _entry(number.value, number.std, number.unit) for number in numbers_by_gravity(c)}
     if (middle := scale_holds_at(c, candidate)) is not None:
         per = "°C" if "place" in candidate.columns[1].args else f"unit of {candidate.covariate}"
         out["scale_holds_at"] = _entry(middle, None, per)

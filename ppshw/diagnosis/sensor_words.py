@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from ppshw.diagnosis.parameter_names import misread_name, misread_unit
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.quantities import enumerated
 from ppshw.terms.shapes import Column, Context
+from ppshw.terms.shapes.sensor import misread
 
 Array = NDArray[np.float64]
 FEW = 3  # numbers of a form that are worth telling
@@ -24,9 +26,12 @@ def against_gravity(c: Context) -> str:
     found = weigh(c, list(sensor_errors(c)))
     if found is None:
         return ""
-    far = [
-        f"{WRENCH_COMPONENTS[k]} by {found.by[k]:.2g} {'N' if k < 3 else 'N m'}" for k in np.flatnonzero(found.wrong)
-    ]
+    by = found.by * found.wrong
+    if found.one_form and (numbers := _numbers(found)):  # what no payload weighs may show in other channels
+        args = [column.args for column in found.forms[0].form.columns]
+        made = sum(number.value * misread(c, **each) for number, each in zip(numbers, args, strict=True))
+        by = np.sqrt(np.mean(np.square(made), axis=0))
+    far = [f"{WRENCH_COMPONENTS[k]} by {by[k]:.2g} {'N' if k < 3 else 'N m'}" for k in np.flatnonzero(by)]
     return f"{enumerated(far)} rms, {_error(found)}"
 
 
@@ -59,18 +64,41 @@ def turned(columns: Sequence[Column], values: Array, of_what_hangs: bool = False
     return f"turned by {enumerated(angles)}"
 
 
+@dataclass(frozen=True)
+class Number:
+    """One of the sensor's errors, by its readings: under which name, with its standard deviation and unit."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+def numbers_by_gravity(c: Context) -> list[Number]:
+    """What the force sensor's error comes to against gravity; none where it reads what hangs there, or where it takes
+    more than a few numbers or several forms to say."""
+    found = weigh(c, list(sensor_errors(c)))
+    return _numbers(found) if found is not None and found.one_form else []
+
+
+def _numbers(found: Weighing) -> list[Number]:
+    """Of its first form, where that has few columns and is no turn, which has angles."""
+    first = found.forms[0]
+    columns = [column.args for column in first.form.columns]
+    if len(columns) > FEW or "turned" in columns[0]:
+        return []
+    names = [misread_name(args, again=len(columns) > 1) for args in columns]
+    std = np.sqrt(np.diag(first.covariance))
+    return list(map(Number, names, first.values.tolist(), std.tolist(), map(misread_unit, columns)))
+
+
 def _error(found: Weighing) -> str:
     first = found.forms[0]
     columns, lag = [column.args for column in first.form.columns], first.form.shape.get("lag_h", 0.0)
     if "turned" in columns[0]:
         said = f"as if it were mounted {turned(first.form.columns, first.values, of_what_hangs=True)}"
     elif len(columns) <= FEW:
-        numbers = [
-            f"{misread_name(args, again=len(columns) > 1)} {value:.3g} ± {std:.2g} {unit}".removesuffix(" 1")
-            for args, value, std, unit in zip(
-                columns, first.values, np.sqrt(np.diag(first.covariance)), map(misread_unit, columns), strict=True
-            )
-        ]
+        numbers = [f"{n.name} {n.value:.3g} ± {n.std:.2g} {n.unit}".removesuffix(" 1") for n in _numbers(found)]
         when = f" from {first.form.shape['time_h']:.2f} h on" if "time_h" in first.form.shape else ""
         said = ", ".join(numbers) + when
     elif first.form.covariate == "load":

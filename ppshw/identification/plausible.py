@@ -39,6 +39,7 @@ SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer 
 # Noise at the reflectors of 110 recordings with all their columns was 0.9 to 4.1 times the stated repeatability's rms.
 NOISIER = 6.0
 SCATTERED = 2.0  # times what the machine file says of the instrument
+MIXED = 0.8  # of what weights middling differ by, that labels leave
 ROUNDS = 20
 BLOCK = 4096
 # A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that.
@@ -170,8 +171,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
             f"the wrench read at {many(len(rows), 'visit')} ({listed(rows)}) is not that of the load "
             f"{loads} at its other visits"
         )
-    if hardly := _hardly_loaded(recording):
-        said.append(hardly)
+    said += [line for line in (_hardly_loaded(recording), _mixed_labels(recording), _settled_before(recording)) if line]
     said += _where_it_was_not_sent(machine, recording)
     said += [
         f"{joint} rests {far} from where it was sent: what is fitted goes by q_{joint}, and a setpoint is as far off"
@@ -205,6 +205,36 @@ def _hardly_loaded(recording: Recording) -> str:
     return (
         f"no force is larger than {largest:.3g} N, though loads change ({_some(loads)}): are Fx … Mz kilonewtons and "
         "kilonewton metres?"
+    )
+
+
+def _mixed_labels(recording: Recording) -> str:
+    """That weights differ within load labels as they do between any visits: whatever hung there, no label says it."""
+    weight, labels = np.linalg.norm(recording.wrench[:, :3], axis=1), np.array(recording.load)
+    loads = [load for load in set(recording.load) - {""} if (labels == load).sum() >= OF_A_LABEL]
+    if len(loads) < 2 or not recording.has_wrench:
+        return ""
+    some = weight[np.isin(labels, loads)]
+    within = np.concatenate([weight[labels == load] - np.median(weight[labels == load]) for load in loads])
+    apart = float(np.median(np.abs(some - np.median(some))))
+    if apart < LOADED_N or np.median(np.abs(within)) < MIXED * apart:
+        return ""
+    return (
+        "the weight that the force sensor reads differs as much under one load label as between them "
+        f"({_some(loads)}): do the labels belong to these rows?"
+    )
+
+
+def _settled_before(recording: Recording) -> str:
+    """That a joint has stood still for longer than it is since the visit before, in which it moved."""
+    since, settled = np.diff(recording.time), recording.settle_s[1:]
+    told = np.isfinite(since) & np.isfinite(settled) & (np.diff(recording.q, axis=0) != 0).any(axis=1)
+    longer = told & (settled > since)
+    if told.sum() < OF_A_LABEL or longer.sum() <= told.sum() / 2:
+        return ""
+    return (
+        f"settle_s is longer than the time since the visit before at {longer.sum()} of "
+        f"{many(int(told.sum()), 'visit')} after a move: are these milliseconds?"
     )
 
 

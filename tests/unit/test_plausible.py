@@ -207,6 +207,26 @@ def test_air_in_degrees_fahrenheit_is_asked_about(measured: tuple[Machine, Recor
     assert said == ["temp_air_C reads 70 °C; is that degrees Fahrenheit?"]
 
 
+def test_load_labels_that_say_nothing_of_the_weight_are_asked_about(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    labels = np.array([f"L{k % 4}" for k in range(len(recording))])
+    weights = np.repeat(recording.wrench[:1] * 0.0, len(recording), axis=0)
+    weights[:, 2] = -300.0 * np.random.default_rng(0).integers(1, 5, len(recording))
+    said = doubts(machine, replace(recording, wrench=weights, load=tuple(labels)))
+    assert any("differs as much under one load label as between them (L0, L1, L2 …)" in line for line in said)
+    weights[:, 2] = -300.0 * (1 + np.arange(len(recording)) % 4)
+    said = doubts(machine, replace(recording, wrench=weights, load=tuple(labels)))
+    assert not any("load label" in line for line in said)
+
+
+def test_settling_for_longer_than_there_was_time_is_asked_about(measured: tuple[Machine, Recording]) -> None:
+    machine, recording = measured
+    timed = replace(recording, time=1e9 + 60.0 * np.arange(len(recording)))
+    for settled, asked in ((5000.0, True), (5.0, False)):
+        said = doubts(machine, replace(timed, settle_s=np.full(len(recording), settled)))
+        assert any("are these milliseconds?" in line for line in said) == asked
+
+
 def test_loads_of_less_than_two_kilograms_are_asked_about(measured: tuple[Machine, Recording]) -> None:
     """All six columns in kilonewtons and kilonewton metres were creep of a joint with 0.95."""
     machine, recording = measured

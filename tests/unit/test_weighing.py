@@ -28,7 +28,7 @@ from ppshw.diagnosis.library.weighing import (
     weigh,
 )
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.sensor_words import _error, against_gravity, doubt
+from ppshw.diagnosis.sensor_words import _error, against_gravity, doubt, numbers_by_gravity
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.kinematics import frames
 from ppshw.recording import Recording
@@ -283,6 +283,20 @@ def test_what_weighing_says_is_told_with_the_channel_and_its_numbers(clean: Cont
     found = weighed(reading(clean, gain(clean.recording)))
     first = replace(found.forms[0], covariance=np.array([[0.01**2]]))  # whose last digit is one
     assert _error(replace(found, forms=(first, *found.forms[1:]))).endswith("Fx_by_Fx 0.0992 ± 0.01")
+
+
+def test_a_channel_that_reads_another_is_said_to_be_off_not_those_in_which_it_shows(clean: Context) -> None:
+    """A payload takes most of what Mx reads of Fz, and leaves the rest to Mz: "reads Mz by 5.7 N m" (a reviewer's)."""
+    r, leak = clean.recording, np.zeros((len(clean.recording), 6))
+    leak[:, 3] = 0.04 * r.wrench[:, 2]
+    c = reading(clean, r.wrench + leak)
+    said = re.match(r"Mx by (\S+) N m rms, Mx_by_Fz 0\.0\d+ ± \S+ N m/N$", against_gravity(c))
+    assert said
+    assert float(said[1]) == pytest.approx(np.sqrt(np.mean(leak[:, 3] ** 2)), rel=0.03)
+    (number,) = numbers_by_gravity(c)
+    assert (number.name, number.unit) == ("Mx_by_Fz", "N m/N")
+    assert number.value == pytest.approx(0.04, abs=max(4 * number.std, 1e-4))
+    assert numbers_by_gravity(clean) == []
 
 
 def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> None:
