@@ -195,6 +195,9 @@ def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
         return [column_of(name) for name in candidate.covariates]
     if candidate.covariate in c.recording.target_names:
         of = f"of reflector {candidate.covariate}"
+        if candidate.columns[0].function == "turned_shift":
+            i, j = np.unravel_index(np.argmax(c.tips[:, :3, :3].std(axis=0)), (3, 3))
+            return [(name, f"{of}, as it is turned") for name in most_alike(c, c.tips[:, i, j])[:2]]
         if (axis := candidate.columns[0].args.get("plumb")) is None:
             return [("time", of)]
         return [(name, f"{of}, as it is turned over") for name in most_alike(c, gravity_in_tip(c)[:, axis])[:2]]

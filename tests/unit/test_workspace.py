@@ -524,6 +524,26 @@ def test_a_cube_corner_that_reads_too_far_aslant_is_some_mixture_of_what_is_trie
     assert {one, other} < {f"q_{name}" for name in space.machine.joint_names}
 
 
+def test_a_reflector_that_reads_too_far_as_it_is_turned_is_some_mixture_wherever_the_instrument_stands(
+    space: Workspace,
+) -> None:
+    """A cat's eye was a reflector that moved four times, where no file said where the instrument stood (another
+    author's)."""
+    c, target = space.context, 1
+    beam, axis = np.array([0.6, 0.48, 0.64]), np.array([0.36, 0.48, 0.8])
+    error = np.zeros_like(c.points)
+    error[:, target] = (0.4 + c.tips[:, :3, :3] @ axis @ beam)[:, None] * beam
+    name = space.recording.target_names[target]
+    (tried,) = (k for k in nameless(c) if k.covariate == name and k.columns[0].function == "turned_shift")
+    columns = np.column_stack([k.evaluate(c).ravel() for k in tried.columns])
+    left = error.ravel() - columns @ np.linalg.lstsq(columns, error.ravel(), rcond=None)[0]
+    # what an axis that hardly turns says is as good as constant
+    assert np.abs(left).max() < 0.03 * np.ptp(error)
+    said = stand_ins(c, tried)
+    assert {how for _, how in said} == {f"of reflector {name}, as it is turned"}
+    assert {column for column, _ in said} < {f"q_{name}" for name in space.machine.joint_names}
+
+
 def test_a_beam_bent_by_warm_air_is_some_mixture_of_what_is_tried_wherever_the_instrument_stands(
     space: Workspace,
 ) -> None:

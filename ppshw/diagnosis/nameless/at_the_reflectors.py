@@ -17,12 +17,13 @@ from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.reflectors import gravity_in_tip
 
 AROUND = ((1, 2), (1, 6), (7, 13), (13, 25), (25, 49))  # waves to a turn of the instrument's circles
-# Standard deviation of which way is down, of one: a reflector whose mount is always upright is elsewhere for good.
+# Standard deviation of where an axis points, of one: a reflector whose mount is always upright is elsewhere for good.
 TURNED_OVER = 0.1
 
 
 def at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders, or its mount gives way as it is turned over; what carries them all swells or bends
+    """A single reflector wanders, its mount gives way as it is turned over, or it reads otherwise as it is turned to an
+    instrument that stands nobody knows where; what carries them all swells or bends
     with a column, a load, a position; distances are off the more aslant the beam falls in, directions by waves over the
     instrument's own angles; the space around it is stretched, for good or with a temperature."""
     if c.points.shape[1] > 1:
@@ -51,6 +52,14 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for a, b in itertools.product(range(3), turns)
             )
             yield Candidate("nameless", None, None, None, name, sags)
+        turned = np.argwhere(c.tips[:, :3, :3].std(axis=0) > TURNED_OVER).tolist()
+        for t, name in enumerate(c.recording.target_names) if turned else ():
+            from_afar = [Column("points", "turned_shift", {"target": t, "along": a}) for a in axes]
+            from_afar += [
+                Column("points", "turned_shift", {"target": t, "along": a, "points": i, "axis": j})
+                for a, (i, j) in itertools.product(axes, turned)
+            ]
+            yield Candidate("nameless", None, None, None, name, tuple(from_afar))
     products = [(a, -1) for a in range(3)] + list(itertools.combinations_with_replacement(range(3), 2))
     for target in range(-1, c.points.shape[1] if c.points.shape[1] > 1 else 0):
         aslant = tuple(

@@ -38,6 +38,15 @@ def target_shift(
     return out
 
 
+def turned_shift(c: Context, target: int, along: int, axis: int = -1, points: int = -1) -> Array:
+    """One reflector moved along an axis of the base (`along`), in proportion to how far an axis of the end effector
+    points along one of the base's (`points`), or evenly where no axes are given: read from far away, where the beam
+    hardly changes its direction, by how aslant it falls in, wherever the instrument stands."""
+    out = np.zeros_like(c.points)
+    out[:, target, along] = c.tips[:, points, axis] if axis >= 0 else 1.0
+    return out
+
+
 def gravity_in_tip(c: Context) -> Array:
     """(N, 3) which way is down, in the end effector's axes."""
     g = np.asarray(c.machine.gravity)
