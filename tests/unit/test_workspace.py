@@ -544,6 +544,21 @@ def test_a_reflector_that_reads_too_far_as_it_is_turned_is_some_mixture_wherever
     assert {column for column, _ in said} < {f"q_{name}" for name in space.machine.joint_names}
 
 
+def test_one_reflector_that_goes_by_the_square_of_a_column_is_nearly_some_mixture(space: Workspace) -> None:
+    """The mast of one that bent with the square of a fan's speed was a reflector that moved three times beside what
+    goes with the fan, all reflectors in proportion (another author's)."""
+    speed, target = np.random.default_rng(7).uniform(0.0, 900.0, len(space.recording)), 2
+    c = replace(space.context, recording=replace(space.recording, covariates={"fan": speed}))
+    error = np.zeros_like(c.points)
+    error[:, target] = (speed[:, None] / 900.0) ** 2 * (c.tips[:, :3, :3] @ [0.36, 0.48, 0.8])
+    of_one = [k for k in nameless(c) if k.covariates == ("cov_fan",) and "knot" in k.columns[0].args
+              and k.columns[0].function == "target_shift"]  # fmt: skip
+    assert [k.columns[0].args["target"] for k in of_one] == list(range(c.points.shape[1]))
+    columns = np.column_stack([k.evaluate(c).ravel() for k in of_one[target].columns])
+    left = error.ravel() - columns @ np.linalg.lstsq(columns, error.ravel(), rcond=None)[0]
+    assert np.linalg.norm(left) < 0.03 * np.linalg.norm(error)
+
+
 def test_a_beam_bent_by_warm_air_is_some_mixture_of_what_is_tried_wherever_the_instrument_stands(
     space: Workspace,
 ) -> None:

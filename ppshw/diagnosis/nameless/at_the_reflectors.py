@@ -11,7 +11,7 @@ import numpy as np
 from ppshw.diagnosis.library.by_instrument import about_another_place
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import LAGS_H, moving_joints, nobody_knows, read_channels, temperature_places
-from ppshw.diagnosis.nameless.rival import late_columns, rival
+from ppshw.diagnosis.nameless.rival import KNOTS, late_columns, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.reflectors import gravity_in_tip
@@ -22,10 +22,11 @@ TURNED_OVER = 0.1
 
 
 def at_the_reflectors(c: Context) -> Iterator[Candidate]:
-    """A single reflector wanders, its mount gives way as it is turned over, or it reads otherwise as it is turned to an
-    instrument that stands nobody knows where; what carries them all swells or bends
-    with a column, a load, a position; distances are off the more aslant the beam falls in, directions by waves over the
-    instrument's own angles; the space around it is stretched, for good or with a temperature."""
+    """A single reflector wanders, or goes by any function of a column that nobody knows; its mount gives way as it is
+    turned over, or it reads otherwise as it is turned to an instrument that stands nobody knows where; what carries
+    them all swells or bends with a column, a load, a position; distances are off the more aslant the beam falls in,
+    directions by waves over the instrument's own angles; the space around it is stretched, for good or with a
+    temperature."""
     if c.points.shape[1] > 1:
         for t, name in enumerate(c.recording.target_names):
             moves = tuple(
@@ -45,6 +46,11 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for t, a in itertools.product(targets, axes)
             ]
             yield rival(c, None, None, (name,), swells)
+        for (t, _), name in itertools.product(enumerate(c.recording.target_names), nobody_knows(c)):
+            yield rival(c, None, None, (name,), [
+                Column("points", "target_shift", {"target": t, "axis": a, "name": name, "knot": j, "count": KNOTS})
+                for j, a in itertools.product(range(KNOTS), axes)
+            ])  # fmt: skip
         turns = np.flatnonzero(gravity_in_tip(c).std(axis=0) > TURNED_OVER)
         for t, name in enumerate(c.recording.target_names) if len(turns) else ():
             sags = tuple(

@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 
 def target_shift(
     c: Context, target: int, axis: int, since: float = -1.0, order: int = 0, slow: float = 0.0, name: str = "",
-    load: int = -1, plumb: int = -1,
+    load: int = -1, plumb: int = -1, knot: int = 0, count: int = 1,
 ) -> Array:  # fmt: skip
     """One reflector moved along one axis of the end effector, always or from a moment on (hours since the start), at
-    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column; in
-    proportion to a component of the sensor's wrench (by the greatest that this read), or to how far the `plumb`-th axis
-    of the end effector points down."""
+    once or with a time constant `slow` [h]; in the `order`-th half wave over the recording; with a column, or a bump of
+    it (`covariate`); in proportion to a component of the sensor's wrench (by the greatest that this read), or to how
+    far the `plumb`-th axis of the end effector points down."""
     out = np.zeros_like(c.points)
     out[:, target] = c.tips[:, :3, axis]
     if order:
         out = out * clock(c, "cosine", order)[:, None, None]
     if name:
-        out = out * covariate(c, name)[:, None, None]
+        out = out * covariate(c, name, knot, count)[:, None, None]
     if load >= 0:
         read = c.recording.wrench[:, load]
         out = out * (read / c.frozen(f"most.read.{load}", float(np.abs(read).max())))[:, None, None]
