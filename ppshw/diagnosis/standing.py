@@ -142,17 +142,25 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
     by_bare = own
     if pieces and not _bends_as_it_needs(tried, f, pieces):
         by_bare = max(own, _bare(space, tried, f, others, pieces))
-    here = every if f.name[0] not in OF_A_LOAD else min(every, _here(space, tried, f, others, pieces))
-    with_all = min(here - ALL_AHEAD, FAR_BEHIND * by_bare)
     ahead = min(AHEAD, AHEAD_OF_QUIET * own)
     if f.name[0] in FARTHER_AHEAD:
         ahead = min(FARTHER_AHEAD[f.name[0]], FARTHER_OF_QUIET * own)
     slowly = f.name[0] == "drift" and tried.candidates[best].frame == tried.candidates[f.best].frame
-    least = max((1.0 + NEARLY) * own - ahead, with_all, own + BY_THE_CLOCK if slowly else -math.inf)
+    by_form = max((1.0 + NEARLY) * own - ahead, own + BY_THE_CLOCK if slowly else -math.inf)
+
+    def ahead_of(without_name: float, with_near: float) -> bool:
+        with_all = min(with_near - ALL_AHEAD, FAR_BEHIND * by_bare)
+        return without_name / HANDICAP <= max(by_form, with_all)
+
+    leads = ahead_of(rival, every)
+    if leads and f.name[0] in OF_A_LOAD:  # beside rivals in one component by what it says in its own directions
+        here = min(every, _here(space, tried, f, others, pieces))
+        wide = tried.candidates[best].component is None
+        leads = ahead_of(_other_than(tried, f, evidence, freely, in_one=True)[0] if wide else rival, here)
     # Of many near forms what it says by its bare one alone; but where reflectors are the base model may say, too.
     if every < WITH_ALL and (f.name[0] != "target_moved" or space.machine.tracker.targets_known):
         every = max(every, _bare(space, tried, f, others, pieces))
-    behind = rival / HANDICAP > least or against or every < WITH_ALL or f.p > NAMED
+    behind = not leads or against or every < WITH_ALL or f.p > NAMED
     if stands := not (behind or _beside_a_riddle(tried, f, others)):
         return _Answer(own, rival, best, stands)
     best = tried.strongest(evidence, freely)  # what means the same as the name, too, says over which columns it goes
@@ -214,14 +222,18 @@ def drop_what_riddles_leave(space: Workspace, tried: Tried, found: list[Found]) 
     take_up(space, tried, found)
 
 
-def _other_than(tried: Tried, f: Found, evidence: Array, freely: int) -> tuple[float, int]:
+def _other_than(tried: Tried, f: Found, evidence: Array, freely: int, in_one: bool = False) -> tuple[float, int]:
     """What rivals without a name say that are not by what they mean the finding's own effect, for the evidence (C,) of
-    all candidates; and the strongest of them."""
+    all candidates; and the strongest of them.
+
+    in_one  of those alone that act in one component
+    """
     mine, machine = tried.candidates[f.best], tried.space.machine
     unturned, inside = never_turned(machine), within(machine)
     others = np.array([
         j for j in np.flatnonzero(tried.name_of == freely)
         if not of_its_kind(mine, tried.candidates[j], unturned, inside, not OF_A_LOAD & tried.without)
+        and not (in_one and tried.candidates[j].component is None)
     ])  # fmt: skip
     counted = np.array([counts(mine, tried.candidates[j], unturned) for j in others])
     if mine.effect == "friction_hysteresis":  # nearly the same motion of another frame says no more of how it winds up

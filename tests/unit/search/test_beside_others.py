@@ -634,6 +634,29 @@ def test_what_a_name_s_form_left_at_its_place_does_not_speak_for_it(
     assert beside[0] == ([there] if asked_beside_it else [])
 
 
+@pytest.mark.parametrize(("wide", "narrow", "stands"), [(159.0, 150.0, True), (180.0, 150.0, False),
+                                                        (159.0, 157.0, False), (140.0, 159.0, False)])  # fmt: skip
+def test_rivals_in_all_directions_are_held_against_all_that_a_stiffness_may_be_like(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, wide: float, narrow: float, stands: bool
+) -> None:
+    """And those in one against what it says in its own: a contact said 148 by its form, 232 with all near forms, and
+    144 seats of its loads, in all directions, 159 (another author's 057)."""
+    some, names = named(space, "nonlinear_stiffness")[:1], space.machine.frame_names
+    seats = [Column("frame", "seated", {"name": "mounting", "stay": 1}, 2, component) for component in (3, 4)]
+    for columns, way in ((seats, None), (seats[:1], "rx")):
+        some.append(Candidate("nameless", None, names[2], way, "mounting", tuple(columns), covariates=("mounting",)))
+    tried = Tried(space, some, 5e-5)
+    evidence = np.array([148.3, wide, narrow])
+    monkeypatch.setattr(tried, "log_share", np.zeros(3))
+    monkeypatch.setattr(standing, "_by_itself", lambda *of: (148.3, 231.9, evidence))
+    monkeypatch.setattr(standing, "_here", lambda *of: 165.0)
+    monkeypatch.setattr(standing, "_as_its_sibling", lambda *of: None)
+    found = [Found(0, tried.name(0), 1e-12, 148.3, first=148.3)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert (found[0].name[0] == "nonlinear_stiffness") == stands
+
+
 def test_what_a_base_that_wanders_leaves_may_go_with_a_temperature(space: Workspace) -> None:
     some = named(space, "drift", "nameless")
     tried = Tried(space, some, 5e-5)
