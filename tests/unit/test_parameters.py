@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.library.sampled import called, own_component
 from ppshw.diagnosis.parameters import is_of, numbers_of, spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms import COMPONENTS
 from ppshw.terms.history import slip, weighs, wind_up
 from ppshw.terms.shapes import Column, Context, named_column
+from ppshw.terms.shapes.context import ALONG
 from ppshw.terms.shapes.wrenches import by_payload, gravity_at_sensor, payloads_of
 from tests.unit.clean_case import clean_case
 
@@ -244,6 +246,19 @@ def test_what_a_joint_does_is_said_along_its_own_axis(space: Workspace, axis: li
     said = sentence(c, play, half_a_gap, 1e-4)
     assert f"{'lags behind' if times > 0 else 'runs ahead'} by {0.2 * abs(times):.3f} mm" in said
     assert ("is a sign turned?" in said) == (times < 0)
+
+
+@pytest.mark.parametrize(("tilt", "own"), [(0.0, 2), (1e-3, 2), (3e-3, ALONG)])
+def test_an_axis_within_a_milliradian_of_its_frame_s_is_along_it(space: Workspace, tilt: float, own: int) -> None:
+    k = next(j for j, joint in enumerate(space.machine.joints) if joint.prismatic)
+    axis = np.array([0.0, np.sin(tilt), -np.cos(tilt)])
+    joints = list(space.machine.joints)
+    joints[k] = replace(joints[k], axis=axis)
+    c = replace(space.context, machine=replace(space.machine, joints=tuple(joints)))
+    assert own_component(c, k) == own
+    assert called(c, k + 1, own) == "tz"
+    expected = [0, 0, 1.0, 0, 0, 0] if own == 2 else [*axis, 0, 0, 0]
+    assert c.direction(k + 1, own) == pytest.approx(expected)
 
 
 def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
