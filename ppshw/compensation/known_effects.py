@@ -321,10 +321,7 @@ class KnownEffects:
                 if effect.of_instrument or not follows or stays or column.args.get("form") in BEFORE_IT:
                     continue
                 for k, size in enumerate(self._over_time(column, context)):
-                    if column.on == "frame":
-                        each[k, column.frame] += value * size * context.direction(column.frame, column.component)
-                    else:
-                        each[k] += value * size
+                    _add_to(each[k], column, value * size, context)
         return [(each - each.mean(axis=0)) / np.sqrt(GRID)] if each.any() else []
 
     def _over_time(self, column: Column, context: Context) -> Array:
@@ -345,10 +342,7 @@ class KnownEffects:
         if effect.of_instrument or column.args.get("form") in BEFORE_IT:
             return
         size = self._now(effect, column, contexts[column.function in FROM_WAY])
-        if column.on == "frame":
-            out[0, column.frame] += value * size * contexts[0].direction(column.frame, column.component)
-        else:
-            out[0] += value * size
+        _add_to(out[0], column, value * size, contexts[0])
 
     def _units(self, effect: Effect, contexts: tuple[Context, Context]) -> Array:
         """(k, n+1, 6) what each column of an effect does, of size one."""
@@ -558,3 +552,11 @@ def _at_last(context: Context, wrench: Array) -> Array:
     out = np.zeros_like(context.recording.wrench)
     out[-1] = wrench
     return out
+
+
+def _add_to(errors: Array, column: Column, size: Array, c: Context) -> None:
+    """Adds to generalized errors (n+1, 6) what a column is whose function comes to a size."""
+    if column.on == "frame":
+        errors[column.frame] += size * c.direction(column.frame, column.component)
+    else:
+        errors += size

@@ -337,6 +337,19 @@ def test_evaluate_and_twin_warn_of_moments_of_the_other_sign_than_the_calibratio
                                   "calibration was made from: it leaves ")  # fmt: skip
 
 
+def test_evaluate_and_twin_warn_of_a_direction_that_is_turned_round(desk: Path) -> None:
+    given = ["--machine", desk / "machine.yaml", "--calibration", desk / "cal.json", "--json"]
+    times(-1, "approach_rail")(desk / "good.csv")
+    for words in (
+        ["evaluate", desk / "good.csv", *given],
+        ["twin", desk / "good.csv", *given, "--out", desk / "t.csv"],
+    ):
+        said = ppshw(*words)
+        assert said.code == 0
+        assert json.loads(said.out)["warnings"] == ["the column approach_rail has the opposite sign; taken as it stands: "
+                                                    "set it right"]  # fmt: skip
+
+
 def test_moments_have_no_other_sign_than_those_of_a_recording_without_any(desk: Path) -> None:
     content = json.loads((desk / "cal.json").read_text())
     content["valid"]["payload"] |= {name: [0.0, 0.0] for name in ("Mx", "My", "Mz")}

@@ -126,6 +126,27 @@ def test_what_a_joint_does_along_its_own_axis_is_taken_out_along_it(
     assert by_axis.std[1] > 1.001 * plain.std[1]
 
 
+@pytest.mark.parametrize(("name", "function", "args"), [
+    ("backlash", "approach", {"joint": VERTICAL}), ("drift", "clock", {"form": "linear", "tau": 1.0}),
+])  # fmt: skip
+def test_along_an_oblique_axis_is_along_both_of_its_frame_s(name: str, function: str, args: dict[str, object]) -> None:
+    calibration, axis = base()[1], np.array([0.0, 0.6, 0.8])
+    joints = list(calibration.machine.joints)
+    joints[VERTICAL] = replace(joints[VERTICAL], axis=axis)
+    model = replace(calibration.model, machine=replace(calibration.machine, joints=tuple(joints)))
+    found = []
+    for parts in ({ALONG: 1e-4}, {1: 0.6e-4, 2: 0.8e-4}):
+        columns = tuple(Column("frame", function, args, VERTICAL + 1, component) for component in parts)
+        effect = Effect(name, "vertical", columns, tuple(parts.values()), (0.0,) * len(parts), "by hand")
+        reference = {"start": 1.7e9, "hours": HOURS}
+        known = Compensator(replace(calibration, model=model, effects=(effect,), reference=reference))
+        found.append(asked(known, start=BELOW))
+    np.testing.assert_allclose(found[0].corrected, found[1].corrected, atol=1e-12)
+    np.testing.assert_allclose(found[0].std, found[1].std, rtol=1e-9)
+    plain = asked(Compensator(replace(calibration, model=model)), start=BELOW)
+    assert np.abs(found[0].corrected - plain.corrected).max() > 1e-5
+
+
 @pytest.mark.parametrize("lateral", [-0.05, 0.05])
 def test_a_joint_that_runs_ahead_is_left_where_it_stands_rather_than_sent_past_its_gap(lateral: float) -> None:
     """Either side's setpoint of a joint that is to stay where it is asks for the other side; it was sent a whole gap

@@ -225,6 +225,8 @@ def test_settling_for_longer_than_there_was_time_is_asked_about(measured: tuple[
     for settled, asked in ((5000.0, True), (5.0, False)):
         said = doubts(machine, replace(timed, settle_s=np.full(len(recording), settled)))
         assert any("are these milliseconds?" in line for line in said) == asked
+    still = replace(timed, q=np.repeat(recording.q[:1], len(recording), axis=0), settle_s=np.full(len(recording), 1e4))
+    assert not any("are these milliseconds?" in line for line in doubts(machine, still))  # since it moved last
 
 
 def test_loads_of_less_than_two_kilograms_are_asked_about(measured: tuple[Machine, Recording]) -> None:

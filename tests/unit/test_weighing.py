@@ -17,6 +17,7 @@ from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.jumps import jumps_of_zeros
+from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.by_instrument import LEAST_MISREAD, sensor_errors
 from ppshw.diagnosis.library.by_instrument import weighed as what_it_reads
 from ppshw.diagnosis.library.weighing import (
@@ -28,6 +29,7 @@ from ppshw.diagnosis.library.weighing import (
     weigh,
 )
 from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.parameters import numbers_of
 from ppshw.diagnosis.sensor_words import _error, against_gravity, doubt, numbers_by_gravity
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.kinematics import frames
@@ -297,6 +299,11 @@ def test_a_channel_that_reads_another_is_said_to_be_off_not_those_in_which_it_sh
     assert (number.name, number.unit) == ("Mx_by_Fz", "N m/N")
     assert number.value == pytest.approx(0.04, abs=max(4 * number.std, 1e-4))
     assert numbers_by_gravity(clean) == []
+    column = what_it_reads(c)
+    assert column is not None
+    whole = Candidate("wrench_error", None, None, None, "Fz", (column,))
+    told = numbers_of(c, whole, np.ones(1), np.eye(1))["Mx_by_Fz"]
+    assert told == {"value": number.value, "std": number.std, "unit": number.unit}
 
 
 def test_other_zeros_after_every_change_of_the_load_are_that(clean: Context) -> None:

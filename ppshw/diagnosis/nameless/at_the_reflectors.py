@@ -46,7 +46,7 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for t, a in itertools.product(targets, axes)
             ]
             yield rival(c, None, None, (name,), swells)
-        for (t, _), name in itertools.product(enumerate(c.recording.target_names), nobody_knows(c)):
+        for t, name in itertools.product(targets, nobody_knows(c)):
             yield rival(c, None, None, (name,), [
                 Column("points", "target_shift", {"target": t, "axis": a, "name": name, "knot": j, "count": KNOTS})
                 for j, a in itertools.product(range(KNOTS), axes)

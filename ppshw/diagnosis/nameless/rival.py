@@ -27,10 +27,7 @@ def rival(
     """Columns over some names that move a frame in one component; None: in several, or no frame."""
     where = None if frame is None else c.machine.frame_names[frame]
     way = None if frame is None or comp is None else called(c, frame, comp)
-    return Candidate(
-        "nameless", None, where, way, " × ".join(names), tuple(columns),
-        covariates=names,
-    )  # fmt: skip
+    return Candidate("nameless", None, where, way, " × ".join(names), tuple(columns), covariates=names)
 
 
 def bumps(name: str, frame: int, comp: int) -> list[Column]:
