@@ -249,17 +249,16 @@ class KnownEffects:
         first = past.moments[0] if past.moments else now
         for joint in (j for j in joints_of(columns, FROM_WAY) if now.approach[j] and not first.approach[j]):
             yield [(now, _all_come_from(past, joint, side)) for side in (-1, 1)]
-        if self._creeps and not past.known:
-            hours = self._reference.get("hours", 0.0)
-            yield [
-                (now, self.loaded_for(now, 3600.0 * age, first.q, first.approach))
-                for age in (0.0, min(UNSAID_H, hours), hours)
-            ]
-        elif self._creeps and past.on_nothing:
+        if self._creeps and (past.on_nothing or not past.known):
             start = None if past.standing else first.q
-            age = self._times([now])[0] - past.moments[-1].time
+            hours = self._reference.get("hours", 0.0)
+            ages = [3600.0 * age for age in (0.0, min(UNSAID_H, hours), hours)]
+            if past.known:
+                ages = [self._times([now])[0] - past.moments[-1].time]
             yield [
-                (now, self.loaded_for(now, age, start, first.approach, lay)) for lay in (np.zeros(6), *self._loads(now))
+                (now, self.loaded_for(now, age, start, first.approach, lay))
+                for age in ages
+                for lay in (np.zeros(6), *self._loads(now))
             ]
 
     def _taken_as_steady(self, columns: Iterable[Column], now: Moment, past: Past) -> dict[str, float]:
@@ -506,9 +505,10 @@ class KnownEffects:
         lay_before: Array | None = None,
     ) -> Past:  # fmt: skip
         """A past that only says for how long the load has been on (None: nobody knows), where the move starts from,
-        from which sides its joints came there (0: either), and what the sensor read before the load, of what had lain
-        there for long (None: nothing)."""
+        from which sides its joints came there (0: either), and what the sensor would read at `now` of what had lain
+        there before the load for long (None: nothing)."""
         if start is not None:
+            lay_before = None if lay_before is None else payload_at(self.machine, lay_before, now.q, start)
             payload = payload_at(self.machine, now.payload, now.q, start)
             approach = np.zeros(self.machine.n, dtype=np.int64) if before is None else before
             now = replace(now, q=start, payload=payload, approach=approach, run_up=None)
