@@ -89,6 +89,7 @@ class Recording:
     extra_points name → (N, 3) measured reflectors at points of interest (tip.points)   [m]
     temperatures place → (N,)  [°C], in empty cells between the others, nan where all are;  covariates name → (N,)
     spikes       place → visits at which its thermometer read what nothing there can have had, taken for empty cells
+    silent       place → visits at which its thermometer said nothing, where it did at others
     sha256       of the canonical CSV text, the same for both forms
     copies       visits that read the same as an earlier one to the last digit, joints and targets and load: no
                  instrument repeats itself so, and a row that stands there twice is one reading
@@ -115,6 +116,7 @@ class Recording:
     sha256: str
     copies: tuple[int, ...] = ()
     spikes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    silent: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     misspelt: Mapping[str, str] = field(default_factory=dict)
     load_age_s: Array | None = None
 
@@ -156,7 +158,8 @@ class Recording:
             temperatures={k: v[rows] for k, v in self.temperatures.items()},
             covariates={k: v[rows] for k, v in self.covariates.items()},
             copies=tuple(np.flatnonzero(np.isin(rows, self.copies)).tolist()),
-            spikes={k: tuple(np.flatnonzero(np.isin(rows, v)).tolist()) for k, v in self.spikes.items()},
+            spikes=_among(rows, self.spikes),
+            silent=_among(rows, self.silent),
             load_age_s=None if self.load_age_s is None else self.load_age_s[rows],
         )
 
@@ -170,7 +173,6 @@ class Recording:
             return {k: np.concatenate([a.get(k, nan[0]), b.get(k, nan[1])]) for k in {**a, **b}}
 
         ages = [np.full(len(r), math.nan) if r.load_age_s is None else r.load_age_s for r in (first, then)]
-        later = {place: tuple(count + k for k in at) for place, at in then.spikes.items()}
         return replace(
             first,
             time=np.concatenate([first.time, then.time]),
@@ -186,9 +188,22 @@ class Recording:
             temperatures=both(first.temperatures, then.temperatures),
             covariates=both(first.covariates, then.covariates),
             copies=first.copies + tuple(count + k for k in then.copies),
-            spikes={k: first.spikes.get(k, ()) + later.get(k, ()) for k in {**first.spikes, **later}},
+            spikes=_and_later(first.spikes, then.spikes, count),
+            silent=_and_later(first.silent, then.silent, count),
             load_age_s=None if first.load_age_s is None and then.load_age_s is None else np.concatenate(ages),
         )
+
+
+def _among(rows: NDArray[np.int64], visits: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Where visits that something is said of are among these rows."""
+    return {k: tuple(np.flatnonzero(np.isin(rows, v)).tolist()) for k, v in visits.items()}
+
+
+def _and_later(
+    first: Mapping[str, tuple[int, ...]], then: Mapping[str, tuple[int, ...]], count: int
+) -> dict[str, tuple[int, ...]]:
+    """Visits that something is said of, of `count` visits and of those that follow."""
+    return {k: first.get(k, ()) + tuple(count + at for at in then.get(k, ())) for k in {**first, **then}}
 
 
 def columns_for(
@@ -252,7 +267,7 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
     copies = _copies(np.concatenate([q, q_cmd, wrench, points.reshape(len(q), -1)], axis=1), points)
     for each in (points, *extra_points.values()):
         each[copies] = math.nan
-    temperatures, spikes = _temperatures(cells)
+    temperatures, spikes, silent = _temperatures(cells)
     unknown = np.full(len(cells), math.nan)
     return Recording(
         joint_names=machine.joint_names,
@@ -274,6 +289,7 @@ def parse_table(table: Table, machine: Machine, lost_at_all: bool = False) -> Re
         sha256=hashlib.sha256(table.csv_text().encode()).hexdigest(),
         copies=tuple(copies.tolist()),
         spikes=spikes,
+        silent=silent,
         misspelt=_misspelt(cells.names, machine),
         load_age_s=cells.duration(LOAD_AGE) if LOAD_AGE in cells else None,
     )
@@ -341,14 +357,19 @@ def _approach(cells: _Cells, machine: Machine, q_cmd: Array) -> NDArray[np.int64
     return approach
 
 
-def _temperatures(cells: _Cells) -> tuple[dict[str, Array], dict[str, tuple[int, ...]]]:
-    """Temperatures (N,) of every place without broken cells and gaps, and the visits at which cells were broken."""
+def _temperatures(cells: _Cells) -> tuple[dict[str, Array], dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+    """Temperatures (N,) of every place without broken cells and gaps, the visits at which cells were broken, and those
+    at which they were empty, where not all are."""
     read = {n[5:-2]: cells.temperature(n) for n in cells.names if n.startswith("temp_") and n.endswith("_C")}
     spikes = {place: told for place, values in read.items() if len(told := _spikes(values))}
+    silent = {
+        place: at for place, values in read.items() if 0 < len(at := np.flatnonzero(np.isnan(values))) < len(values)
+    }
     for place, visits in spikes.items():
         read[place][visits] = math.nan
     without = {place: _between(values) for place, values in read.items()}
-    return without, {place: tuple(visits.tolist()) for place, visits in spikes.items()}
+    broken, empty = ({place: tuple(visits.tolist()) for place, visits in each.items()} for each in (spikes, silent))
+    return without, broken, empty
 
 
 def _spikes(values: Array) -> NDArray[np.int64]:

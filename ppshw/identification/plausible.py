@@ -6,6 +6,7 @@ least-squares start dragged along by them is found by no weighting afterwards.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -40,6 +41,8 @@ SINGLE, OF_A_LABEL = 0.02, 10  # share of a label's visits, one at least; fewer 
 NOISIER = 6.0
 SCATTERED = 2.0  # times what the machine file says of the instrument
 MIXED = 0.8  # of what weights middling differ by, that labels leave
+# Links follow the air within half an hour to four hours.
+SILENT_H, VISITS_PER_HOUR = 0.5, 40.0
 ROUNDS = 20
 BLOCK = 4096
 # A servo errs by far less than a hundredth of a travel; a row too late it is where it was sent, to a fifth of that.
@@ -145,6 +148,20 @@ def _unlike_the_others(wrench: Array, gravity: Array) -> NDArray[np.bool_]:
     return wrong
 
 
+def _silent_for_long(recording: Recording) -> list[str]:
+    """Of every thermometer that said nothing for longer than what lags behind it can be carried over."""
+    out = []
+    for place, visits in recording.silent.items():
+        rows = np.array(visits)
+        run = max(np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1), key=len)
+        first, last = recording.time[run[[0, -1]]]
+        hours = (last - first) / 3600.0 if math.isfinite(last - first) else len(run) / VISITS_PER_HOUR
+        if hours > SILENT_H:
+            at = f"{len(rows)} of {many(len(recording), 'visit')}, from visit {run[0] + 1} on for {hours:.1f} h"
+            out.append(f"temp_{place}_C is empty at {at}: what goes with it may be said to go with another thermometer")
+    return out
+
+
 def doubts(machine: Machine, recording: Recording) -> list[str]:
     """What is odd about a recording, or its machine's file, that can be used even so, each in a line."""
     said = [f"{machine.file}: {line}" for line in doubts_of_file(machine)]
@@ -159,6 +176,7 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         "taken for empty there"
         for place, visits in recording.spikes.items()
     ]
+    said += _silent_for_long(recording)
     for place, values in recording.temperatures.items():
         middle = float(np.nanmedian(values)) if np.isfinite(values).any() else 0.0
         if middle > KELVIN_C:

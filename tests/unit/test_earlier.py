@@ -249,7 +249,13 @@ def test_ages_of_loads_go_on_whoever_has_them(who: str) -> None:
     if who != "later":
         first = replace(first, load_age_s=np.arange(1.0, FIRST + 1))
     if who != "earlier":
-        then = replace(then, load_age_s=np.arange(500.0, 500.0 + len(then)), copies=(3,), spikes={"rail": (5,)})
+        then = replace(
+            then,
+            load_age_s=np.arange(500.0, 500.0 + len(then)),
+            copies=(3,),
+            spikes={"rail": (5,)},
+            silent={"air": (6,)},
+        )
     joined, rows = earlier.continued(first, then)
     assert joined.load_age_s is not None
     for part, mine in ((first, ~rows), (then, rows)):
@@ -257,6 +263,7 @@ def test_ages_of_loads_go_on_whoever_has_them(who: str) -> None:
         np.testing.assert_array_equal(joined.load_age_s[mine], ages)
     if who != "earlier":
         assert (joined.copies, joined.spikes) == ((FIRST + 3,), {"rail": (FIRST + 5,)})
+        assert joined.silent == {"air": (FIRST + 6,)}
     assert np.isfinite(residuals(then, remembering(first))).any()
 
 

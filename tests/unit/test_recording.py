@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 import subprocess
 import sys
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +144,27 @@ def test_a_thermometer_s_broken_cells_are_empty_ones(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.temperatures["air"], warm, atol=0.07)
     assert found.subset(np.arange(41, 200)).spikes == {"air": (0, 109)}
     assert doubts(load_machine(tmp_path / "m.yaml"), found)[0].startswith("temp_air_C leaps at 4 visits (1, 41, 42, 15")
+
+
+def test_a_thermometer_that_said_nothing_for_long_is_asked_about(tmp_path: Path) -> None:
+    """Empty at half of the visits, growth with it was said to go with the air (a reviewer's)."""
+    told = [f"{20 + 0.01 * k:.2f}" for k in range(200)]
+    told[20:80], told[150] = [""] * 60, ""
+    at = [(datetime(2026, 3, 2, tzinfo=UTC) + timedelta(seconds=60 * k)).isoformat() for k in range(200)]
+    columns = "time,q_rail,q_turn,P2_x,P2_y,P2_z,temp_air_C"
+    rows = [f"{at[k]},{0.001 * k},0.2,1,2,{k},{told[k]}" for k in range(200)]
+    found = read(tmp_path, columns, *rows)
+    assert found.silent == {"air": (*range(20, 80), 150)}
+    assert found.spikes == {}
+    said = [line for line in doubts(load_machine(tmp_path / "m.yaml"), found) if "empty" in line]
+    assert [line.split(":")[0] for line in said] == [
+        "temp_air_C is empty at 61 of 200 visits, from visit 21 on for 1.0 h"
+    ]
+    now_and_then = found.subset(np.delete(np.arange(200), np.arange(22, 80)))
+    assert now_and_then.silent == {"air": (20, 21, 92)}
+    assert not [line for line in doubts(load_machine(tmp_path / "m.yaml"), now_and_then) if "empty" in line]
+    never = read(tmp_path, columns, *(row.rsplit(",", 1)[0] + "," for row in rows))
+    assert never.silent == {}
 
 
 def test_a_thermometer_that_leaps_again_and_again_is_believed(tmp_path: Path) -> None:
