@@ -13,7 +13,7 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import column_mistakes
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, moved_by, size_beyond
+from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, moved_by, size_beyond
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, still_gross
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.library import LOADS, Candidate, library
@@ -202,10 +202,11 @@ def _look(
 
 def _lost(space: Workspace, tried: Tried, found: list[Found]) -> dict[str, float]:
     """What joints lose when they turn back, along or about their own axes [m or rad]."""
-    out = {}
+    out: dict[str, float] = {}
     for f in found:
-        if f.name[0] in ("backlash", "friction_hysteresis"):
-            out[str(f.name[1])] = 2.0 * abs(float(by_its_own_form(space, tried.candidates[f.best], f)[0][0]))
+        if f.name[0] in LOST_MOTION:
+            lost = 2.0 * abs(float(by_its_own_form(space, tried.candidates[f.best], f)[0][0]))
+            out[str(f.name[1])] = max(lost, out.get(str(f.name[1]), 0.0))
     return out
 
 

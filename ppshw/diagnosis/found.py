@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 PRIOR_SD = 3.0  # of a coefficient once taken up, in `Workspace.unit`s; of more than FEW the less
 FEW = 6  # columns
 STILL = 1e-11  # [m] what moves the reflectors by less per unit does not move them: a link of no length that grows
+LOST_MOTION = ("backlash", "friction_hysteresis")
+TAKEN_UP = frozenset({"approach", "slipping", "winding"})  # at once, or over some way since a joint turned back
 NEAR_SD = 1.0  # of all near forms together, in units of the main form's size
 
 
@@ -59,6 +61,11 @@ def pieces_of(f: Found, found: Sequence[Found]) -> list[Found]:
     return [g for g in found if g is not f and g.name == f.name and f.name[0] != "nameless"]
 
 
+def is_both(f: Found, g: Found) -> bool:
+    """Whether one is the play and the other the friction of one joint."""
+    return f.name[1] == g.name[1] and {f.name[0], g.name[0]} == set(LOST_MOTION)
+
+
 def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool = True) -> None:
     """The workspace with exactly these findings, and with what else each of them may be like.
 
@@ -66,19 +73,23 @@ def take_up(space: Workspace, tried: Tried, found: list[Found], and_look: bool =
     """
     for f in found:
         if f.size == 0.0:
-            _measure(space, tried, f, [g for g in found if g is not f and g.size > 0.0])
+            _measure(space, tried, f, [g for g in found if g is not f])
     _lay(space, tried, found)
     if and_look:
         tried.update([c.key for f in found for c in (*tried.candidates[f.best].columns, *f.near)])
 
 
 def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:
-    """The size of a finding's own form, alone beside the others; its near forms scale with it."""
+    """The size of a finding's own form, alone beside the others; its near forms scale with it. Of one joint's play and
+    friction neither has the other's among them."""
     candidate = tried.candidates[f.best]
     f.near = ()
-    _lay(space, tried, [*others, f])
+    _lay(space, tried, [*(g for g in others if g.size > 0.0), f])
     f.size = coefficients(space, candidate, f)[2]
     near = (*near_forms(space.context, candidate, tried.without), *f.more)
+    if any(is_both(f, g) for g in others):
+        along = candidate.columns[0].component
+        near = tuple(c for c in near if c.function not in TAKEN_UP or c.component != along)
     f.near = tuple(c for c in {c.key: c for c in near}.values() if space.rms(tried.value(c)[0]) > STILL)
 
 

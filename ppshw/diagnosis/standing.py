@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, pieces_of, take_up
+from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, coefficients, pieces_of, take_up
 from ppshw.diagnosis.kinship import (
     OF_A_LOAD,
     WOUND_UP,
@@ -88,6 +89,12 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
                 continue
             if f.name[0] == "wrench_error" and surely_misread(space.context):  # whatever goes with a load as well
                 stand.add(f.name)
+                continue
+            if f.p <= NAMED and (both := _as_both(space, tried, f, found, freely)):
+                names = {g.name for g in both}
+                found[:] = [*(g for g in found if g.name not in names), *both]
+                stand |= names
+                take_up(space, tried, found)
                 continue
             answer = _asked(space, tried, f, found, freely)
             if not answer.stands and f.p <= NAMED and (play := _as_play(tried, f, answer)) is not None:
@@ -179,6 +186,51 @@ def _as_play(tried: Tried, f: Found, answer: _Answer) -> Found | None:
     if said < answer.own - AS_MUCH:
         return None
     return replace(f, best=tried.strongest(evidence, k), name=play, evidence=said, first=said, size=0.0, more=())
+
+
+def _as_both(space: Workspace, tried: Tried, f: Found, found: list[Found], freely: int) -> list[Found]:
+    """Play and friction of the joint of a finding that is one of the two, where both together, each by one column, say
+    so much more than either, and than every rival without a name, and both lag; else none. What is beside them is taken
+    up.
+
+    Of a joint that has both either alone is behind any function of the way since it turned back, or stands for their
+    sum: of 60 µm each they said 1,742 and 1,722 of log evidence, nine bumps 1,753, and both 1,787. Of one of the two as
+    four other authors have it both said 75 less to 3 more than that one.
+    """
+    names = [(effect, f.name[1]) for effect in LOST_MOTION]
+    if f.name not in names or not all(name in tried.names for name in names):
+        return []
+    others = [g for g in found if g.name not in names]
+    take_up(space, tried, others)
+    evidence, by_name = tried.said()
+    play, friction = (float(by_name[tried.names.index(name)]) for name in names)
+    as_play = replace(f, best=tried.strongest(evidence, tried.names.index(names[0])), name=names[0])
+    rival = _other_than(tried, as_play, evidence, freely)[0] / HANDICAP
+
+    def by(forms: Sequence[int]) -> list[Found]:
+        return [replace(f, best=k, name=tried.name(k), size=tried.unit, near=(), more=()) for k in forms]
+
+    def said(forms: Sequence[int]) -> float:
+        return _beside(space, tried, by(forms), others) + float(tried.log_share[list(forms)].sum())
+
+    best = max(itertools.product(*(_of_one_column(tried, name) for name in names)), key=said)
+    both, together = by(best), said(best)
+    if together < max(max(play, friction) + ALL_AHEAD, rival + AHEAD) + LEAST_FURTHER:
+        return []
+    take_up(space, tried, [*others, *both], and_look=False)
+    lags = [float(coefficients(space, tried.candidates[g.best], g)[0][0]) for g in both]
+    take_up(space, tried, others)
+    if max(lags) * min(lags) <= 0.0:
+        return []
+    for g, without in zip(both, (friction, play), strict=True):
+        g.size, g.p = 0.0, max(f.p, float(np.exp(without - together)))
+    return both
+
+
+def _of_one_column(tried: Tried, name: Name) -> list[int]:
+    """Candidates of a name that have one column."""
+    mine = np.flatnonzero(tried.name_of == tried.names.index(name))
+    return [int(k) for k in mine if len(tried.index[k]) == 1 and np.isfinite(tried.log_share[k])]
 
 
 def _as_its_sibling(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ppshw.diagnosis.evidence import Name, Tried
-from ppshw.diagnosis.found import Found, coefficients, explained, pieces_of, take_up
-from ppshw.diagnosis.kinship import never_turned
+from ppshw.diagnosis.evidence import HANDICAP, Name, Tried
+from ppshw.diagnosis.found import Found, coefficients, explained, is_both, pieces_of, take_up
+from ppshw.diagnosis.kinship import never_turned, winds_up
 from ppshw.diagnosis.parameters import pulled_along, spread_of
 from ppshw.diagnosis.workspace import Workspace
 
+Array = NDArray[np.float64]
 # Weights of names are tempered: forms of real machines differ from the library's by a share of what they explain, so
 # evidence overstates, the more of it there is: E counts as E / (1 + max E / TEMPER). 100 to 300 made the true names of
 # 48 findings in sealed cases likeliest (seeds 60700 to 60716, 62000 to 62023, 62800 to 62811); with 150 weights of 0.5
@@ -56,6 +58,8 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             take_up(space, tried, others)
         every, names = tried.said()
         evidence = names.copy()
+        if any(is_both(f, g) for g in others):
+            evidence[tried.names.index(NAMELESS)] = _but_winding_up(tried, f, every)
         top, own = int(np.argmax(evidence)), tried.names.index(f.name)
         if top != own:
             best = tried.strongest(every, top)
@@ -71,12 +75,23 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.weights = {tried.names[j]: float(weights[j]) for j in (*kept, tried.names.index(NAMELESS))}
     take_up(space, tried, found)
     for f in found:
-        if (other := as_well(space, tried, f)) is not None:
+        if not any(is_both(f, g) for g in found) and (other := as_well(space, tried, f)) is not None:
             f.weights[other] = max(f.weights.get(other, 0.0), MAY_BE[other[0]] * f.weights[f.name])
             free = f.weights.pop(NAMELESS)
             total = sum(f.weights.values())
             f.weights = {name: w * (1.0 - free) / total for name, w in f.weights.items()} | {NAMELESS: free}
         f.weights = dict(sorted(f.weights.items(), key=lambda item: -item[1]))
+
+
+def _but_winding_up(tried: Tried, f: Found, every: Array) -> float:
+    """What those without a name say, for the evidence (C,) of all candidates, but for any function of the way since a
+    finding's joint turned back: of a joint that has play and friction such a one stood against both (`give_up`), and
+    beside either says what the other does."""
+    mine = tried.candidates[f.best]
+    freely = tried.name_of == tried.names.index(NAMELESS)
+    others = [j for j in np.flatnonzero(freely) if not winds_up(mine, tried.candidates[j])]
+    said = float(logsumexp(every[others] + tried.log_share[others]))
+    return HANDICAP * said if said > 0 else said
 
 
 def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:

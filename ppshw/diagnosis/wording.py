@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found, by_its_own_form, moved_by
+from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
@@ -282,7 +282,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
 def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
     """Whether what joint and drive lose to each other carries the joint on, which no drive does: of what goes along its
     own way."""
-    if candidate.effect not in ("backlash", "friction_hysteresis") or candidate.joint is None:
+    if candidate.effect not in LOST_MOTION or candidate.joint is None:
         return False
     own = own_component(c, c.machine.joint_names.index(candidate.joint))
     return bool(candidate.columns[0].component == own and values[0] > 0)

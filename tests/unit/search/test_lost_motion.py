@@ -121,6 +121,26 @@ def test_friction_that_a_moment_presses_together_one_way_and_lifts_off_the_other
     assert f"more per 100 N m of {load} upon it" in said["sentence"]
 
 
+@pytest.mark.parametrize(("friction", "both"), [(3.0, True), (-1.5, False)])
+def test_a_joint_with_play_and_friction_has_both_if_both_lag(space: Workspace, friction: float, both: bool) -> None:
+    """Either alone stood for their sum, or for nothing: any function of the way since it turned back said more."""
+    width = 0.11 * travel_of(space)  # between two of the library's
+    gap, winds = on_joint(space, "approach"), on_joint(space, "winding", way=width)
+    there = moved_by(moved_by(space, gap, 3.0), winds, friction)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    assert (sorted(f.name for f in found) == [("backlash", NAME), ("friction_hysteresis", NAME)]) == both
+    if not both:
+        return
+    size = {k: 3.0 * 5e-5 / space.rms(column.evaluate(space.context)) for k, column in enumerate((gap, winds))}
+    for f in found:
+        said = finding(there, tried, f)["parameters"]
+        value, wanted = (said["gap"], 2 * size[0]) if f.name[0] == "backlash" else (said["lag"], size[1])
+        assert abs(value["value"]) == pytest.approx(wanted, abs=3 * value["std"])
+        assert value["std"] < 0.2 * wanted
+        assert f.weights[f.name] > 0.8
+        assert f.p < 1e-4
+
+
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
     """What it loses is more than an eighth of the way over which it builds up."""
     width = 0.02 * travel_of(space)
