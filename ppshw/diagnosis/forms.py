@@ -59,9 +59,9 @@ def _lost_motion(c: Context, k: Candidate) -> list[Column]:
     joint, first = c.machine.joint_names.index(str(k.joint)), k.columns[0]
     low, high = float(c.recording.q[:, joint].min()), float(c.recording.q[:, joint].max())
     ways = (high - low) * np.array([0.005, 0.02, 0.05, 0.12, 0.3])
-    past = {key: value for key, value in first.args.items() if key == "past"}
+    past, rest = ({key: value for key, value in first.args.items() if key == name} for name in ("past", "rest_h"))
     slips = [_on(k, "slipping", joint=joint, width=float(way), **past) for way in ways]
-    slips += [_on(k, "winding", joint=joint, way=float(way), **past) for way in ways]
+    slips += [_on(k, "winding", joint=joint, way=float(way), **past, **rest) for way in ways]
     tilted = [_on(k, first.function, **first.args, tilted=by) for by in tilts(c, joint)]  # what a moment upon it adds
     tips = [Column("frame", "approach", {"joint": joint}, joint + 1, comp) for comp in range(6)]
     return [*slips, *tilted, *tips, _on(k, "approach_q", joint=joint), _on(k, "approach_q", joint=joint, power=2)]

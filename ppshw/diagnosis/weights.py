@@ -26,10 +26,10 @@ OUTSIDE = 0.05
 NAMELESS: Name = ("nameless", None)
 MOST_NAMES = 5  # that are told besides
 # Play between rubber walls is taken up over two to eight gaps in sealed cases, as friction is in every fourth of the
-# tilting joints, whose travel is short. What is taken up over half a per cent of a travel was called friction with 0.95
-# and 0.77 in two plays of the twenty-ninth author's; the shortest friction of ten authors and of six sealed decks,
-# where it was found, took 0.65 %.
-SOFT, BRIEF = 8.0, 0.005
+# tilting joints, whose travel is short. What was taken up over half a per cent of a travel, or over one, was called
+# friction with 0.77 to 0.95 in two plays of the twenty-ninth author's and two of the fifty-second's; the shortest
+# friction of ten authors and of six sealed decks, where it was found, took 0.65 %.
+SOFT, BRIEF = 8.0, 0.012
 # How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
 MAY_BE = {"backlash": 0.7, "drift": 0.45}
 # Where another's bare form says more, what all near forms say is little to go by: of two reflectors one that was moved

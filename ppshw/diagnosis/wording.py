@@ -250,7 +250,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         "backlash": f"{joint} {'runs ahead' if ahead else 'lags behind'} by {amount}{rocks(candidate)} whenever it "
         f"turns back: lost motion in its drive{ahead} ({size}).",
         "friction_hysteresis": f"{joint} {'runs ahead' if ahead else 'lags'} by an amount that grows with the travel "
-        f"since it turned back, up to {amount}: friction before sliding{ahead} ({size}).",
+        f"since it turned back, up to {amount}{_lets_go(candidate)}: friction before sliding{ahead} ({size}).",
         "thermal_growth": f"every link grows with {candidate.covariate}{_per_kelvin(candidate, values)} ({size})."
         if joint is None
         else f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows or bends with "
@@ -286,6 +286,11 @@ def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
         return False
     own = own_component(c, c.machine.joint_names.index(candidate.joint))
     return bool(candidate.columns[0].component == own and values[0] > 0)
+
+
+def _lets_go(candidate: Candidate) -> str:
+    rest = candidate.shape.get("rest_h")
+    return "" if rest is None else f", and lets go of it in {60 * rest:.0f} min of rest"
 
 
 def _along_its_travel(c: Context, candidate: Candidate) -> str:

@@ -62,16 +62,21 @@ def _steps(q: Array, approach: NDArray[np.int64]) -> list[tuple[float, bool]]:
     return [(0.0, False), *zip(step.tolist(), turned.tolist(), strict=True)]
 
 
-def wind_up(q: Array, approach: NDArray[np.int64], way: float, past: float = math.inf) -> Array:
+def wind_up(
+    q: Array, approach: NDArray[np.int64], way: float, past: float = math.inf, left: Array | None = None
+) -> Array:
     """Friction that builds up exponentially with the way since the last reversal, −1 … 1.
 
         dz = dq (1 − z sgn dq)/way                                  (Dahl 1968, exponent 1)
 
-    q (N,), approach (N,), past as in `slip`; way in the joint's unit.
+    q (N,), approach (N,), past as in `slip`; way in the joint's unit; left (N,): the share of it that is left from the
+    visit before when it moves on (None: all).
     """
     z = float(approach[0]) if len(approach) else 0.0
+    left = np.ones(len(q)) if left is None else left
     out = np.empty(len(q))
     for k, ways in enumerate(_ways(q, approach, past)):
+        z *= left[k]
         for gone in ways:
             wall = math.copysign(1.0, gone)
             z = wall + (z - wall) * math.exp(-abs(gone) / way)

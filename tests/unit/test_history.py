@@ -51,6 +51,14 @@ def test_what_went_a_little_past_has_taken_up_that_little_only() -> None:
     assert np.allclose(wind_up(q, approach, 0.1), [1.0, -1.0, -1.0])
 
 
+def test_what_was_wound_up_and_let_go_of_while_a_joint_rested_is_wound_up_from_what_is_left() -> None:
+    q, approach = np.array([0.0, 0.1, 0.1, 0.3]), np.ones(4, dtype=np.int64)
+    left = np.array([1.0, 0.5, 0.2, 1.0])
+    once = 1.0 - 0.5 * np.exp(-1.0)
+    then = 1.0 - (1.0 - 0.2 * once) * np.exp(-2.0)
+    assert np.allclose(wind_up(q, approach, 0.1, left=left), [1.0, once, 0.2 * once, then])
+
+
 def test_the_way_since_a_joint_turned_back_adds_up_until_it_turns_again() -> None:
     q = np.array([0.0, 0.5, 0.7, 0.4, 0.4, 0.3, 0.6, 0.9])
     approach = np.array([1, 1, 1, -1, -1, -1, 1, -1])  # the last was overshot on the way, nobody knows how far

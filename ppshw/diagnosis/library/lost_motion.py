@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -34,6 +35,8 @@ SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file ha
 SOFTEST_KNOWN = 12.0
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
+# Bristles let go in a joint that rests, within a quarter of an hour or so (two other authors'): no play does.
+LETS_GO, RESTS_H, AT_REST = np.array([0.02, 0.06, 0.2]), (0.1, 0.3, 1.0), 0.05
 
 
 def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
@@ -73,6 +76,9 @@ def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
                 for more, part in _by_its_load(c, k, lag):
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, part * share)
+        for width, rest_h in itertools.product(map(float, float(np.ptp(c.recording.q[:, k])) * LETS_GO), RESTS_H):
+            column = _along_it(c, k, "winding", way=width, rest_h=rest_h)
+            yield Candidate(*where, (column,), {"width": width, "rest_h": rest_h}, AT_REST)
 
 
 def _by_its_load(c: Context, k: int, lost: Column) -> Iterator[tuple[Column, float]]:
@@ -111,4 +117,8 @@ def _taken_up(c: Context, k: int, parts: Array) -> Iterator[tuple[float, Column]
     """What a joint lost when it turned back is taken up over a part of its travel, evenly or ever more slowly."""
     for width in map(float, float(np.ptp(c.recording.q[:, k])) * parts):
         for function, how in (("slipping", "width"), ("winding", "way")):
-            yield width, Column("frame", function, {"joint": k, how: width}, k + 1, own_component(c, k))
+            yield width, _along_it(c, k, function, **{how: width})
+
+
+def _along_it(c: Context, k: int, function: str, **args: float) -> Column:
+    return Column("frame", function, {"joint": k, **args}, k + 1, own_component(c, k))

@@ -55,10 +55,14 @@ def slipping(
 
 
 def winding(
-    c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf, tilted: int | None = None
-) -> Array:
-    """Ever more slowly; `pressed`, `past` and `tilted` as in `slipping`."""
-    lag = wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way, past)
+    c: Context, joint: int, way: float, pressed: int | None = None, past: float = math.inf, tilted: int | None = None,
+    rest_h: float = math.inf,
+) -> Array:  # fmt: skip
+    """Ever more slowly; `pressed`, `past` and `tilted` as in `slipping`; `rest_h` the hours in which it lets go to a
+    part in e while its joint rests."""
+    rested = np.diff(c.hours, prepend=c.hours[:1])
+    left = np.exp(-np.maximum(rested, 0.0) / rest_h)
+    lag = wind_up(c.recording.q[:, joint], c.recording.approach[:, joint], way, past, left)
     return lag * _by_its_load(c, joint, pressed, tilted)
 
 

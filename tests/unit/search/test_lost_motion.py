@@ -141,6 +141,25 @@ def test_a_joint_with_play_and_friction_has_both_if_both_lag(space: Workspace, f
         assert f.p < 1e-4
 
 
+def test_friction_that_lets_go_in_a_joint_that_rests_is_no_play(space: Workspace) -> None:
+    """Bristles that creep back within a quarter of an hour were play of 2.5e-4 rad (another author's 52010)."""
+    c, k = space.context, space.machine.joint_names.index(NAME)
+    q, z, lag = space.recording.q[:, k], 0.0, []
+    for n, step in enumerate(np.diff(q, prepend=q[:1])):
+        z *= np.exp(-4.0 * (c.hours[n] - c.hours[max(n - 1, 0)]))
+        if step:
+            z = np.sign(step) * (1.0 - (1.0 - np.sign(step) * z) / (1.0 + abs(step) / (0.06 * np.ptp(q))) ** 2)
+        lag.append(z)
+    moved = of_size(space, c.moved(k + 1, own_component(c, k)) * np.array(lag)[:, None], 4)
+    there = replace(space, data=space.data + moved)
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    (friction,) = (f for f in found if f.name[0] != "nameless")
+    assert friction.name == ("friction_hysteresis", NAME)
+    said = finding(there, tried, friction)
+    assert said["parameters"]["rest_h"]["value"] in (0.1, 0.3)
+    assert "min of rest" in said["sentence"]
+
+
 def test_friction_that_costs_much_of_the_way_may_be_play_between_soft_walls(space: Workspace) -> None:
     """What it loses is more than an eighth of the way over which it builds up."""
     width = 0.02 * travel_of(space)
@@ -197,7 +216,7 @@ def test_a_loss_that_is_not_sure_may_be_larger(
     assert as_well(space, tried, found[0]) == (("backlash", NAME) if may_be else None)
 
 
-@pytest.mark.parametrize(("part", "either"), [(0.005, True), (0.01, False)])
+@pytest.mark.parametrize(("part", "either"), [(0.005, True), (0.01, True), (0.02, False)])
 def test_what_is_taken_up_over_a_very_small_part_of_the_travel_may_be_play(
     space: Workspace, part: float, either: bool
 ) -> None:
