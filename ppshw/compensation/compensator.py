@@ -26,6 +26,9 @@ from ppshw.terms import Situation
 from ppshw.transforms import inverse, transform
 
 Array = NDArray[np.float64]
+REACHED = 1e-5  # m, rad that a corrected setpoint may leave of a whole pose
+# Beside where it starts from a joint with lost motion is at odds: on either side it is too far on the other. Ours.
+AT_ITS_START, OVER_A_GAP = 1e-5, 1e-3  # m, rad
 
 
 @dataclass(frozen=True)
@@ -203,8 +206,9 @@ class Compensator:
         joints that are at odds.
 
         The correction may turn the direction that a joint comes from; then that direction's own correction is taken.
-        Where neither direction agrees with itself (a gap that runs ahead, and the joint nearly where it is wanted) the
-        joint is left where it stands, or sent to the last one tried, whichever leaves less as it really comes.
+        Where neither direction agrees with itself (a gap that runs ahead, and the joint nearly where it is wanted), or
+        the pose cannot be had on either side of where a joint starts from, it is left where it stands, or sent to the
+        last one tried, whichever leaves less as it really comes.
         """
         payload, first = now.payload[None], where if self.position_first else None
         tries, odd = [], np.zeros(len(now.q), dtype=bool)
@@ -219,11 +223,15 @@ class Compensator:
             if not odd.any():
                 break
             tries = [q[0]] if given.start is None else [q[0], np.where(odd, given.start, q[0])]
-        if not self.position_first and np.abs(left).max() > 1e-5:
-            raise CompensationRefused(
-                f"no corrected setpoint was found for the pose: of the nearest {amount(left[0])} are left; "
-                f"'{self.machine.name}' may stand nearly stretched there, or in another singular pose"
-            )
+        much = 0.0 if self.position_first else float(np.abs(left).max())
+        if much > REACHED:
+            odd = self._turning(q[0], given)
+            if much > OVER_A_GAP or not odd.any():
+                raise CompensationRefused(
+                    f"no corrected setpoint was found for the pose: of the nearest {amount(left[0])} are left; "
+                    f"'{self.machine.name}' may stand nearly stretched there, or in another singular pose"
+                )
+            tries = [q[0], np.where(odd, given.start, q[0])]
         if not odd.any():
             return q, left, now, ()
         found = []
@@ -235,6 +243,12 @@ class Compensator:
         seen = slice(3 if self.position_first else 6)  # angles count as on a lever of a metre
         nearest = min(found, key=lambda each: float(np.linalg.norm(each[1][0, seen])))
         return *nearest, tuple(name for name, is_odd in zip(self.machine.joint_names, odd, strict=True) if is_odd)
+
+    def _turning(self, q: Array, given: Circumstances) -> NDArray[np.bool_]:
+        """(n,) joints with lost motion that would turn just where they start from."""
+        if self.known is None or given.start is None:
+            return np.zeros(len(q), dtype=bool)
+        return np.asarray(self.known.sided & (np.abs(q - given.start) < AT_ITS_START))
 
     def _effects(self, now: Moment, past: Past) -> EffectErrors | None:
         known = self.known
