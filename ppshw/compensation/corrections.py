@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.compensation.compensator import Circumstances, Compensator, Setpoints
+from ppshw.compensation.hanging import Hanging
 from ppshw.compensation.known_effects import Verdict
 from ppshw.compensation.past import Moment, Past, approach_of
 from ppshw.errors import CompensationRefused
 from ppshw.recording import Around, Recording
-from ppshw.statics import payload_at
 from ppshw.terms.earlier import SAME_S, another_load, continued, goes_on
 
 Array = NDArray[np.float64]
@@ -47,6 +47,7 @@ class Corrections:
         earlier = compensator.calibration.visits if after is None else after
         self._visits = earlier if so_far is None else continued(earlier, so_far)[0]
         self._loads: set[str] = set()  # that this run has met
+        self._hanging = Hanging(compensator.machine)
         self._ended = -math.inf  # when visits ended that effects look back to [s since 1970]
         if self._visits is not None and compensator.known is not None and compensator.known.looks_back:
             self._ended = float(np.max(self._visits.time, initial=-math.inf))
@@ -78,7 +79,7 @@ class Corrections:
 
     def __call__(self, wanted: Array, wrench: Array, here: Array, around: Around) -> Array:
         """(n,) corrected setpoints of `wanted` (n,), from the wrench (6,) as read `here` (n,)."""
-        payload = payload_at(self._compensator.machine, wrench, here, wanted)
+        payload = self._hanging.at(around.load, wrench, here, wanted)
         known = self._compensator.known
         if known is None:
             return self._corrected(wanted, payload, Circumstances()).corrected

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ppshw.calibration import Calibration
 from ppshw.compensation import Bounds, Compensator
+from ppshw.compensation.hanging import Hanging
 from ppshw.compensation.inverse import nominal_joints, solve_pose
 from ppshw.errors import CompensationRefused, MachineFileError
 from ppshw.identification import identify
@@ -226,6 +227,29 @@ def test_a_sensor_that_was_only_moved_or_turned_about_the_vertical_reads_what_it
     for there, read in ((moved_only, [30.0, -785.0, 10.0, 235.0, 12.0, -78.0]),
                         (turned, [0.0, -785.0, 0.0, 235.0, 12.0, -78.0])):  # fmt: skip
         np.testing.assert_allclose(payload_at(machine, np.array(read), np.zeros(6), there), read, atol=1e-9)
+
+
+def test_two_readings_of_a_load_tell_where_its_centre_lies_and_one_in_its_place_nothing_of_it() -> None:
+    plant, machine = Plant.from_file(MACHINES / "arm6.yaml"), load_machine(MACHINES / "arm6.yaml")
+    box, other = Load(40.0, np.array([0.05, -0.1, 0.4])), Load(90.0, np.array([-0.2, 0.1, 0.1]))
+    first, second, there = plant.random_poses(3, np.random.default_rng(5))
+
+    def misses(hanging: Hanging, load: Load, here: Array, label: str = "box") -> float:
+        found = hanging.at(label, plant.wrench(here, load)[0], here, there)
+        return float(np.abs(found - plant.wrench(there, load)[0])[3:].max())
+
+    by_one, one = misses(Hanging(machine), box, first), Hanging(machine)
+    assert misses(one, box, first) == by_one > 20.0  # N m
+    assert misses(one, box, second) < 0.1
+    assert misses(one, box, first) < 0.1
+    # put on anew, under its label or another, it may sit otherwise; another load under its label is another
+    assert misses(one, box, first, "again") == by_one
+    assert misses(one, other, second, "again") == misses(Hanging(machine), other, second) > 20.0
+    one = Hanging(machine)
+    cable = np.array([3.0, 0.0, 0.0, 0.0, 2.0, 0.0])  # what the sensor reads beside the load stays with it
+    for here in (first, second, first):
+        found = one.at("box", plant.wrench(here, box)[0] + cable, here, there)
+    np.testing.assert_allclose(found, plant.wrench(there, box)[0] + cable, atol=4.0)
 
 
 def test_without_payload_there_is_none_anywhere() -> None:
