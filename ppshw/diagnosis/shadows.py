@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.found import LOST_MOTION, Found
 from ppshw.diagnosis.kinship import never_turned, of_its_kind
 from ppshw.diagnosis.library import LOADS, Candidate
 from ppshw.diagnosis.library.sampled import within
@@ -23,6 +23,7 @@ SAME_EFFECT = 0.5
 # What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
 # over hours shows as creep of a whole rail.
 SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1
+OF_THE_WAY = frozenset({*LOST_MOTION, "periodic_transmission"})  # what goes with a joint's own way or place alone
 AT_ONCE = 0.02  # of the recording's duration: moments that are one
 
 
@@ -43,6 +44,8 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
             by_load = same_cause = False
         if candidate.joint != other.joint and candidate.frame != other.frame:  # elsewhere, over this joint's position
             same_joint = same_joint and _left_there(tried, other) >= SAME_EFFECT * evidence
+        if candidate.effect == "thermal_growth" and other.effect in OF_THE_WAY:  # which no temperature tells of
+            same_joint = False
         if other.effect == "zero_shift":  # at once along the own way: nothing elsewhere but in time
             same_joint = same_joint and (same_place(candidate, other) or candidate.covariate == "time")
         riddle = other.effect == "nameless" and of_a_riddle(candidate, other)
