@@ -37,11 +37,13 @@ class Block:
     case: LoadCase
     q: Array
 
-    def seconds(self, machine: Machine) -> Array:
-        """(V,) of every visit, the load change before the first where there is a load."""
+    def seconds(self, machine: Machine, hangs: str = "") -> Array:
+        """(V,) of every visit, the load change before the first where another load hangs there, by its name; ""
+        nothing."""
         here = np.vstack([self.q[:1], self.q[:-1]])
         out = travel(machine.joints, here, self.q) + SETTLE_S + MEASURE_S * len(machine.targets)
-        out[0] += LOAD_CHANGE_S if self.case.mass > 0 else 0.0
+        stays = self.case.name == hangs if hangs else self.case.mass == 0
+        out[0] += 0.0 if stays else LOAD_CHANGE_S
         return out
 
 

@@ -180,7 +180,10 @@ def _followed_by(recording: Recording, more: Sequence[Block], machine: Machine) 
     q = np.concatenate([block.q for block in more])
     cases = [block.case for block in more for _ in block.q]
     last = recording.time[-1]
-    hours = np.cumsum(np.concatenate([block.seconds(machine) for block in more])) / 3600.0
+    hang = [recording.load[-1], *(block.case.name for block in more[:-1])]
+    hours = (
+        np.cumsum(np.concatenate([block.seconds(machine, on) for block, on in zip(more, hang, strict=True)])) / 3600.0
+    )
     via = np.vstack([recording.q[-1:], q[:-1]])
     signs = approaches(q, via)
     for k in range(len(signs)):  # what has not moved yet keeps the direction it had

@@ -171,7 +171,10 @@ def _separated(a: argparse.Namespace, machine: Any, answer: dict[str, Any]) -> N
     with written_whole(out, may_be_missing=True) as partial:
         partial.write_text(found.text, encoding="utf-8")
     answer["duration_s"] = took = plan_campaign(load_script(out), machine).summary().duration_s
-    say(a, answer, folded([*found.lines(), f"{visits} visits, about {_hours(took)}", a.out]))
+    lines = [*found.lines(), f"{visits} visits, about {_hours(took)}", a.out]
+    if a.after is not None and loads is None and not so_far.has_wrench and any(b.case.mass > 0 for b in found.blocks):
+        lines.insert(-1, "loads are supposed, as no wrench says what hung there; --loads says what there is")
+    say(a, answer, folded(lines))
 
 
 def _hours(seconds: float) -> str:

@@ -138,6 +138,21 @@ def test_visits_that_separate_put_on_what_there_is_and_take_as_long_as_their_scr
     assert "disc-0." in (desk / "e.yaml").read_text(encoding="utf-8")
 
 
+def test_loads_that_nothing_tells_of_are_said_to_be_supposed(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """75 kg turned up in a campaign after a recording without a wrench (a reviewer's)."""
+    rows = [row.split(",") for row in (desk / "rec.csv").read_text(encoding="utf-8").splitlines()]
+    kept = [k for k, name in enumerate(rows[0]) if name not in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")]
+    (desk / "bare.csv").write_text("".join(",".join(row[k] for k in kept) + "\n" for row in rows), encoding="utf-8")
+    words = "plan --machine m.yaml --to-separate clearance,missing_compliance --visits 12 --out"
+    said = []
+    for more in ("d.yaml --after bare.csv", "e.yaml --after bare.csv --loads weights.yaml"):
+        assert run(f"{words} {more}") == 0
+        out = capsys.readouterr().out
+        assert any(f"mass: {kg}" in (desk / more[:6]).read_text(encoding="utf-8") for kg in range(1, 10))
+        said.append("loads are supposed" in out)
+    assert said == [True, False]
+
+
 def test_a_calibration_without_strengths_is_said_to_have_none(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("identify rec.csv --machine m.yaml --out cal.json") == 0
     data = json.loads((desk / "cal.json").read_text(encoding="utf-8"))

@@ -24,7 +24,7 @@ from campaigns.design.separate import (
 )
 from campaigns.foresight import Foresight, foresee, would_be
 from campaigns.plan import Plan, plan_campaign
-from campaigns.script import EMPTY, load_script
+from campaigns.script import EMPTY, LOAD_CHANGE_S, load_script
 from ppshw.errors import CampaignError
 from ppshw.machine import Elastic, Machine, load_machine
 from ppshw.recording import Recording, load_recording
@@ -219,6 +219,18 @@ def test_what_may_be_measured_next_goes_on_in_all_columns_of_a_recording(machine
     assert after.load_age_s is not None
     assert np.isnan(after.load_age_s[len(recording) :]).all()
     assert {r["effect"] for r in separate(wanted).rows} == {"tracker_scale", "drift"}
+
+
+def test_a_load_that_still_hangs_there_takes_its_time_to_be_taken_off(machine: Machine, sweeps: Plan) -> None:
+    """Creep of a load that went before the first of the next visits was there seconds after the last one (a
+    reviewer's)."""
+    ended, (block, *_) = would_be(sweeps), blocks(machine, [EMPTY], [1], 1)
+    apart = []
+    for load in ("empty", "box"):
+        recording = replace(ended, load=(*ended.load[:-1], load))
+        time = _followed_by(recording, [block, block], machine).time[len(recording) - 1 :]
+        apart.append(np.diff(time)[[0, len(block.q)]])
+    np.testing.assert_allclose(apart[1] - apart[0], [LOAD_CHANGE_S, 0.0], atol=1e-3)
 
 
 def test_where_a_recording_shows_an_effect_it_is_that_form_which_is_told_from_the_other(tmp_path: Path) -> None:
