@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -543,6 +544,21 @@ def test_what_stands_beside_a_gaussian_process_in_place_of_an_effect_drives_no_a
         compensator = Compensator(replace(calibration, effects=(beside,), reference={"start": 1.7e9, "hours": HOURS}))
         found = asked(compensator, start=BELOW)
         np.testing.assert_allclose(found.corrected, asked(Compensator(calibration)).corrected, atol=1e-12)
+
+
+def test_a_run_knows_what_a_load_weighs_where_it_goes_from_its_second_attitude_on() -> None:
+    """An arm that turns its load over was 1.70 mm off at worst by what was read last, by its true weight 0.60 (a
+    reviewer's)."""
+    plant, calibration = base()
+    run, exact = Corrections(Compensator(calibration)), Compensator(calibration)
+    tilted = [POSE + np.array([0, 0, 0, 0, roll, pitch]) for roll, pitch in ((0.03, 0.0), (-0.05, 0.03), (0.02, 0.05))]
+    off = []
+    for here, wanted in pairwise(tilted):
+        found = run(wanted, plant.wrench(here, LOAD)[0], here, Around(1.7e9, "box", {}, 1.7e9))
+        wanted_by = exact.for_joints(wanted, plant.wrench(wanted, LOAD)[0], run.point)
+        off.append(np.abs(found - wanted_by.corrected).max())
+    assert off[0] > 1e-5
+    assert off[1] < 1e-7
 
 
 @pytest.mark.parametrize("lay_before", [0.0, 0.5])
