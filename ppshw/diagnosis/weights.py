@@ -35,6 +35,7 @@ MAY_BE = {"backlash": 0.7, "drift": 0.45}
 # Where another's bare form says more, what all near forms say is little to go by: of two reflectors one that was moved
 # was a scale with 0.95, which the other's form said as well (another author's 31029).
 BY_NEAR_FORMS = math.log(4.0)
+ALSO_BY = 3.0  # of log evidence: 20 to 1
 
 
 def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
@@ -57,6 +58,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         if pieces:
             take_up(space, tried, others)
         every, names = tried.said()
+        f.also_by = _also_by(tried, f, every)
         evidence = names.copy()
         if any(is_both(f, g) for g in others):
             evidence[tried.names.index(NAMELESS)] = _but_winding_up(tried, f, every)
@@ -81,6 +83,16 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             total = sum(f.weights.values())
             f.weights = {name: w * (1.0 - free) / total for name, w in f.weights.items()} | {NAMELESS: free}
         f.weights = dict(sorted(f.weights.items(), key=lambda item: -item[1]))
+
+
+def _also_by(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
+    """Thermometers with which a finding's name says nearly as much as with its own, for the evidence (C,) of all."""
+    own = tried.candidates[f.best].covariate
+    said: dict[str, float] = {}
+    for j in np.flatnonzero(tried.name_of == tried.names.index(f.name)):
+        covariate = tried.candidates[j].covariate
+        said[covariate] = max(said.get(covariate, -math.inf), float(every[j] + tried.log_share[j]))
+    return tuple(c for c in said if c != own and c.startswith("temp_") and said[c] > said[own] - ALSO_BY)
 
 
 def _but_winding_up(tried: Tried, f: Found, every: Array) -> float:

@@ -856,3 +856,20 @@ def test_growth_along_what_never_turns_says_what_it_says_at_any_joint(space: Wor
     for best, said in ((0, together), (4, together), (6, 6.0), (7, 9.0)):
         f = Found(best, tried.name(best), 0.0, float(evidence[best]))
         assert standing._at_any_joint(tried, f, evidence, names) == pytest.approx(said)
+
+
+@pytest.mark.parametrize(("of_rail", "times", "also"), [(0.5, 1.0, True), (1.0, 4.0, False)])
+def test_growth_says_which_other_thermometer_it_may_as_well_go_with(
+    space: Workspace, of_rail: float, times: float, also: bool
+) -> None:
+    """Of two that tell it alike the wrong one was said, with 0.95 (two of a reviewer's)."""
+    c, k = space.context, space.machine.joint_names.index(NAME)
+    air, rail = (
+        Column("frame", "temperature", {"place": place, "tau": 0.5}, k + 1, 1).evaluate(c) for place in ("air", "rail")
+    )
+    there = replace(space, data=space.data + of_size(space, of_rail * rail + (1.0 - of_rail) * air, times))
+    found, tried = look(there, ["thermal_growth"], NAME)
+    (growth,) = (f for f in found if f.name[0] == "thermal_growth")
+    said = finding(there, tried, growth)
+    (other,) = {"temp_air_C", "temp_rail_C"} - {said["covariate"]}
+    assert (f"It may as well go with {other}." in said["sentence"]) == also
