@@ -33,8 +33,8 @@ class Found:
     what its own left over; first: evidence when it was found; at: where its columns begin in the workspace;
     carried: whether a calibration is to have it; was: the candidate that stood for a name that was given up;
     spread: standard deviations of its nonlinear parameters; pulled: what these make of its coefficients, as in
-    `parameters.pulled_along`; read: whether the force sensor's readings say so, whatever deflections do; also_by: other
-    columns with which its name says nearly as much."""
+    `parameters.pulled_along`; read: whether the force sensor's readings say so, whatever deflections do; also: what
+    else it may as well do, in words."""
 
     best: int
     name: Name
@@ -51,7 +51,7 @@ class Found:
     spread: dict[str, float] = field(default_factory=dict)
     pulled: Array | None = field(default=None, compare=False)
     read: bool = False
-    also_by: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
 
     def columns(self, candidate: Candidate) -> slice:
         """Where its columns are in the workspace, near forms among them; candidate: its best."""

@@ -58,7 +58,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         if pieces:
             take_up(space, tried, others)
         every, names = tried.said()
-        f.also_by = _also_by(tried, f, every)
+        f.also = _also(tried, f, every)
         evidence = names.copy()
         if any(is_both(f, g) for g in others):
             evidence[tried.names.index(NAMELESS)] = _but_winding_up(tried, f, every)
@@ -85,14 +85,26 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.weights = dict(sorted(f.weights.items(), key=lambda item: -item[1]))
 
 
-def _also_by(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
-    """Thermometers with which a finding's name says nearly as much as with its own, for the evidence (C,) of all."""
-    own = tried.candidates[f.best].covariate
-    said: dict[str, float] = {}
-    for j in np.flatnonzero(tried.name_of == tried.names.index(f.name)):
-        covariate = tried.candidates[j].covariate
-        said[covariate] = max(said.get(covariate, -math.inf), float(every[j] + tried.log_share[j]))
-    return tuple(c for c in said if c != own and c.startswith("temp_") and said[c] > said[own] - ALSO_BY)
+def _also(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
+    """What else a finding may as well do, in words, for the evidence (C,) of all candidates: go with another
+    thermometer, or have another period, by more than a wave over the travel, that the visits' places hardly tell from
+    its own."""
+    own, said = tried.candidates[f.best], dict[str | float, float]()
+    mine = np.flatnonzero(tried.name_of == tried.names.index(f.name))
+    for j in mine:
+        candidate = tried.candidates[j]
+        what = candidate.shape.get("period") or candidate.covariate
+        said[what] = max(said.get(what, -math.inf), float(every[j] + tried.log_share[j]))
+    period = own.shape.get("period")
+    least = said[period or own.covariate] - ALSO_BY
+    if period is None:
+        heat = (c for c in said if str(c).startswith("temp_") and c != own.covariate)
+        return tuple(f"go with {c}" for c in heat if said[c] > least)
+    k = tried.space.machine.joint_names.index(str(own.joint))
+    travel = float(np.ptp(tried.space.recording.q[:, k]))
+    others = [p for p in said if isinstance(p, float) and abs(travel / p - travel / period) > 1.0 and said[p] > least]
+    unit = tried.space.machine.joints[k].unit
+    return tuple(f"have a period of {p:.3g} {unit}" for p in sorted(others, key=lambda p: -said[p])[:1])
 
 
 def _but_winding_up(tried: Tried, f: Found, every: Array) -> float:

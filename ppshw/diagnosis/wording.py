@@ -82,7 +82,7 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         "aliases": [alias.as_dict() for alias in aliases],
         "sentence": sentence(space.context, candidate, told[0], rms, beyond)
         + _and_in(tried, candidate, pieces)
-        + (f" It may as well go with {' or '.join(found.also_by)}." if found.also_by else "")
+        + (f" It may as well {' or '.join(found.also)}." if found.also else "")
         + alias_words(found.name, aliases),
     }
 

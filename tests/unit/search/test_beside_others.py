@@ -19,7 +19,7 @@ from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.search import _in_one, _of_names, _starts, _worth, search
 from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
-from ppshw.diagnosis.weights import as_well, weigh
+from ppshw.diagnosis.weights import _also, as_well, weigh
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
@@ -873,3 +873,20 @@ def test_growth_says_which_other_thermometer_it_may_as_well_go_with(
     said = finding(there, tried, growth)
     (other,) = {"temp_air_C", "temp_rail_C"} - {said["covariate"]}
     assert (f"It may as well go with {other}." in said["sentence"]) == also
+
+
+@pytest.mark.parametrize(("waves_more", "behind", "told"), [(2.5, 2.9, True), (2.5, 3.1, False), (0.6, 1.0, False)])
+def test_a_wave_says_which_other_period_the_places_of_the_visits_hardly_tell_from_its_own(
+    space: Workspace, waves_more: float, behind: float, told: bool
+) -> None:
+    """On a grid of 0.6 rad a wave of 0.9 was one of 1.745, with 0.95 (a reviewer's)."""
+    some = [k for k in named(space, "periodic_transmission") if k.joint == NAME and len(k.columns) == 2]
+    waves = np.array([travel_of(space) / k.shape["period"] for k in some])
+    tried = Tried(space, some, 5e-5)
+    best = int(np.argmin(np.abs(waves - 12.0)))
+    other = int(np.argmin(np.abs(waves - waves[best] - waves_more)))
+    every = np.full(len(some), 10.0) - tried.log_share
+    every[best] += 40.0
+    every[other] += 40.0 - behind
+    said = _also(tried, Found(best, tried.name(best), 0.0, 50.0), every)
+    assert said == ((f"have a period of {some[other].shape['period']:.3g} rad",) if told else ())
