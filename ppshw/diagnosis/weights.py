@@ -90,6 +90,8 @@ def _also(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
     thermometer, or have another period, by more than a wave over the travel, that the visits' places hardly tell from
     its own."""
     own, said = tried.candidates[f.best], dict[str | float, float]()
+    if f.name == NAMELESS:
+        return ()
     mine = np.flatnonzero(tried.name_of == tried.names.index(f.name))
     for j in mine:
         candidate = tried.candidates[j]

@@ -141,6 +141,14 @@ def test_a_joint_with_play_and_friction_has_both_if_both_lag(space: Workspace, f
         assert f.p < 1e-4
 
 
+def test_play_that_the_base_model_takes_whole_is_not_asked_beside_friction(space: Workspace) -> None:
+    there = moved_by(space, on_joint(space, "winding", way=0.11 * travel_of(space)), 3.0)
+    some = named(space, "backlash", "friction_hysteresis") + named(space, "nameless")[:1]
+    tried = Tried(there, [k for k in some if k.joint in (NAME, None)], 5e-5)
+    tried.log_share[tried.name_of == tried.names.index(("backlash", NAME))] = -np.inf
+    assert [f.name for f in search(there, tried, np.random.default_rng(0))] == [("friction_hysteresis", NAME)]
+
+
 def test_friction_that_lets_go_in_a_joint_that_rests_is_no_play(space: Workspace) -> None:
     """Bristles that creep back within a quarter of an hour were play of 2.5e-4 rad (another author's 52010)."""
     c, k = space.context, space.machine.joint_names.index(NAME)
