@@ -25,17 +25,16 @@ class Hanging:
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
         self._load = ""
-        self._read: list[tuple[Array, Array]] = []
+        self._read: list[tuple[Array, Array]] = []  # the wrench and gravity in the sensor's axes, of each reading
 
     def at(self, load: str, wrench: Array, here: Array, there: Array) -> Array:
         """(6,) at joint values `there` (n,), of a load that reads `wrench` (6,) `here` (n,)."""
-        another = load != self._load or (self._read and another_load(self._read[-1][1][None], wrench[None]))
-        self._load, self._read = load, [*([] if another else self._read), (here, wrench)]
+        gravity = gravity_in_sensor(self._machine, frames(self._machine, np.array([here, there])))
+        another = load != self._load or (self._read and another_load(self._read[-1][0][None], wrench[None]))
+        self._load, self._read = load, [*([] if another else self._read), (wrench, gravity[0])]
         if len(self._read) == 1:
             return payload_at(self._machine, wrench, here, there)
-        poses = np.array([*(q for q, _ in self._read), there])
-        gravity = gravity_in_sensor(self._machine, frames(self._machine, poses))
-        of_one = ("",) * len(self._read)
-        held = payloads(np.array([read for _, read in self._read]), of_one, gravity[:-1])[:1]
-        reads_here, reads_there = weighs(np.repeat(held, 2, axis=0), gravity[-2:])
+        wrenches, attitudes = map(np.array, zip(*self._read, strict=True))
+        held = payloads(wrenches, (load,) * len(wrenches), attitudes)[:1]
+        reads_here, reads_there = weighs(np.repeat(held, 2, axis=0), gravity)
         return np.asarray(reads_there + wrench - reads_here)  # what it reads beside that stays with the sensor

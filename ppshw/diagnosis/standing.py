@@ -213,11 +213,11 @@ def _as_both(space: Workspace, tried: Tried, f: Found, found: list[Found], freel
     def said(forms: Sequence[int]) -> float:
         return _beside(space, tried, by(forms), others) + float(tried.log_share[list(forms)].sum())
 
-    every = list(itertools.product(*(_of_one_column(tried, name) for name in names)))
+    every = [(said(forms), forms) for forms in itertools.product(*(_of_one_column(tried, name) for name in names))]
     if not every:
         return []
-    best = max(every, key=said)
-    both, together = by(best), said(best)
+    together, best = max(every, key=lambda each: each[0])
+    both = by(best)
     if together < max(max(play, friction) + ALL_AHEAD, rival + AHEAD) + LEAST_FURTHER:
         return []
     take_up(space, tried, [*others, *both], and_look=False)

@@ -73,10 +73,10 @@ def wind_up(
     visit before when it moves on (None: all).
     """
     z = float(approach[0]) if len(approach) else 0.0
-    left = np.ones(len(q)) if left is None else left
+    shares = [1.0] * len(q) if left is None else left.tolist()
     out = np.empty(len(q))
     for k, ways in enumerate(_ways(q, approach, past)):
-        z *= left[k]
+        z *= shares[k]
         for gone in ways:
             wall = math.copysign(1.0, gone)
             z = wall + (z - wall) * math.exp(-abs(gone) / way)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ppshw.calibration import Calibration, load_calibration
 from ppshw.cli import main
 from ppshw.compensation import Circumstances, Compensator, Corrections, Setpoints
+from ppshw.compensation import compensator as compensator_module
 from ppshw.compensation.known_effects import KnownEffects
 from ppshw.compensation.past import Moment, Past
 from ppshw.errors import CalibrationError, CompensationRefused
@@ -428,6 +429,19 @@ def test_a_pose_that_cannot_be_had_on_either_side_of_where_a_joint_starts_is_had
     assert np.linalg.norm(found.left) < 0.6 * GAP / 2
     clear = start - np.array([0, GAP, 0, 0, 0, 0])
     assert asked(compensator, start=clear, approach=np.array([0, 1, 0, 1, 0, 0])).at_odds == ()
+
+
+@pytest.mark.parametrize(("beside", "left"), [(0.0, 2e-3), (1e-4, 5e-4)])
+def test_what_is_left_by_more_than_any_gap_or_by_no_joint_that_turns_is_refused(
+    beside: float, left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = POSE.copy()
+    start[VERTICAL] += beside
+    monkeypatch.setattr(compensator_module, "solve_pose", lambda *_: (POSE[None], np.full((1, 6), left)))
+    with pytest.raises(CompensationRefused, match="no corrected setpoint was found"):
+        asked(lost_motion(), start=start, approach=np.array([0, 1, 0, 0, 0, 0]))
+    monkeypatch.setattr(compensator_module, "solve_pose", lambda *_: (POSE[None], np.full((1, 6), 5e-4)))
+    assert asked(lost_motion(), start=POSE, approach=np.array([0, 1, 0, 0, 0, 0])).at_odds == ("vertical",)
 
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
