@@ -16,6 +16,7 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, moved_by, size_beyond
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, still_gross
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
+from ppshw.diagnosis.kinship import of_a_load
 from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.library.weighing import as_weighed
 from ppshw.diagnosis.nameless import nameless
@@ -176,8 +177,8 @@ def _look(
     space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], lost: Mapping[str, float],
     tell: Callable[[int], None],
 ) -> tuple[Tried, list[Found]]:  # fmt: skip
-    """before: what an earlier look found, whose moments, periods and bands of waves are tried more finely; lost: what
-    joints lose by it."""
+    """before: what an earlier look found, whose moments, periods, bands of waves and loads are tried more finely; lost:
+    what joints lose by it."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
@@ -186,7 +187,8 @@ def _look(
     knocks = [] if "target_moved" in without else jumps_of_reflectors(space)
     # so many columns would fit anything that few visits say
     most = COLUMNS_PER_VISIT * int(space.fit.sum())
-    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost)
+    loads = {load for k in before if (load := of_a_load(k)) is not None}
+    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost, loads)
     every = [k for k in every if most >= len(k.columns)]
     named = as_weighed(space.context, every)
     kept = {id(k) for k in named}

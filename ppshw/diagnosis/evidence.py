@@ -189,20 +189,21 @@ class Tried:
         side_by_side(of_part, range(len(parts)))
         return out
 
-    def value(self, column: Column) -> tuple[Array, Array, Array]:
-        """What a column does to the reflectors per unit, worked out once: (N, 3T) in metres; whitened, and that less
-        what the base model takes of it, (F·3T,) each."""
-        key = column.key
-        if key not in self._values:
-            raw = column.evaluate(self.space.context)
-            white = self.space.whiten(raw[..., None])
-            self._values[key] = raw, white[:, 0], self.space.absorb(white)[:, 0]
-        return self._values[key]
+    def values(self, columns: Sequence[Column]) -> list[tuple[Array, Array, Array]]:
+        """What columns do to the reflectors per unit, each worked out once and those that are new at one go: (N, 3T) in
+        metres; whitened, and that less what the base model takes of it, (F·3T,) each."""
+        if new := list({c.key: c for c in columns if c.key not in self._values}.values()):
+            raw = [c.evaluate(self.space.context) for c in new]
+            white = self.space.whiten(np.stack(raw, axis=2))
+            beyond = np.ascontiguousarray(self.space.absorb(white).T)
+            for column, *of_it in zip(new, raw, np.ascontiguousarray(white.T), beyond, strict=True):
+                self._values[column.key] = (of_it[0], of_it[1], of_it[2])
+        return [self._values[c.key] for c in columns]
 
     # --- evidence ------------------------------------------------------------------------------------------------
     def evidence(self, scores: Array | Single) -> Array:
-        """Log evidence of every candidate for scores (D, K) of all columns: (D, C)."""
-        out = np.empty((len(self.candidates), len(scores)))
+        """Log evidence of every candidate for scores (D, K) of all columns: (D, C); −∞ of those that are not asked."""
+        out = np.full((len(self.candidates), len(scores)), -np.inf)
         of_columns = np.ascontiguousarray(scores.T)
         parts = [
             (batch, info, slice(at, at + CHUNK))
@@ -232,12 +233,20 @@ class Tried:
     def evidence_of(self, name: Name, scores: Array) -> Array:
         """(D,) evidence of one name alone, given the base model alone, for scores (D, K) of all columns."""
         mine = self.name_of == self.names.index(name)
+        return np.asarray(logsumexp(self._asking(mine).evidence(scores)[:, mine] + self.log_share[mine], axis=1))
+
+    def evidence_of_names(self, scores: Array | Single) -> Array:
+        """(D, names) evidence of every name, −∞ of those without one, given the base model alone, for scores (D, K)."""
+        return self.by_name(self._asking(~self._nameless[self.name_of]).evidence(scores))
+
+    def _asking(self, some: NDArray[np.bool_]) -> Tried:
+        """The same, given the base model alone, with only some of the candidates (C,) asked."""
         alone = copy.copy(self)
         alone._batches, alone._beside = [], []
-        for batch, info in self._among(mine):
+        for batch, info in self._among(some):
             alone._batches.append(batch)
             alone._beside.append(info)
-        return np.asarray(logsumexp(alone.evidence(scores)[:, mine] + self.log_share[mine], axis=1))
+        return alone
 
     def named(self) -> Iterator[tuple[Batch, Array]]:
         """The candidates that have a name, and the information of each, given the base model alone."""

@@ -25,7 +25,8 @@ OF_CLASS = {
     "load_q": "missing_compliance", "load_power": "nonlinear_stiffness",
     "load_side": "clearance", "load_side_held": "clearance",
 }  # fmt: skip
-WIDEST_SIDE = 0.4  # relative to the load's spread: what tips over more slowly is a stiffness
+# Relative to the load's spread: what tips over more slowly, or in proportion to its load up to a stop, is a stiffness.
+WIDEST_SIDE, FARTHEST_STOP = 0.4, 0.75
 MANY_WAVES = 8  # over a travel, of which one sees that they grow along it; few that do are any function (a dent)
 STEPS = 12  # moments in the recording at which something may go on that began as a jump
 
@@ -44,7 +45,8 @@ def _class(c: Context, column: Column) -> str | None:
     if column.function in ("slipping", "winding"):
         way = float(column.args["width" if column.function == "slipping" else "way"])
         return "friction_hysteresis" if winds_up(c, int(column.args["joint"]), way) else "backlash"
-    if column.function == "load_side" and column.args["width"] > WIDEST_SIDE and not column.args.get("hard"):
+    widest = FARTHEST_STOP if column.args.get("hard") else WIDEST_SIDE
+    if column.function == "load_side" and column.args["width"] > widest:
         return "nonlinear_stiffness"
     return OF_CLASS.get(column.function)
 

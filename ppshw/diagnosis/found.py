@@ -92,7 +92,8 @@ def _measure(space: Workspace, tried: Tried, f: Found, others: list[Found]) -> N
     if any(is_both(f, g) for g in others):
         along = candidate.columns[0].component
         near = tuple(c for c in near if c.function not in TAKEN_UP or c.component != along)
-    f.near = tuple(c for c in {c.key: c for c in near}.values() if space.rms(tried.value(c)[0]) > STILL)
+    near = tuple({c.key: c for c in near}.values())
+    f.near = tuple(c for c, (moved, *_) in zip(near, tried.values(near), strict=True) if space.rms(moved) > STILL)
 
 
 def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
@@ -104,17 +105,18 @@ def _lay(space: Workspace, tried: Tried, found: list[Found]) -> None:
     for f in found:
         f.at = len(laid)
         candidate = tried.candidates[f.best]
-        laid += [tried.value(c) for c in candidate.columns]
+        laid += tried.values(candidate.columns)
         many = min(1.0, FEW / len(candidate.columns))
         spread = many * PRIOR_SD * tried.unit / tried.scale[tried.index[f.best]]
         prior += (np.minimum(spread, 1.0) if f.read else spread).tolist()  # what is read too much is no more than that
-        for column in f.near:
-            laid.append(tried.value(column))
+        near = tried.values(f.near)
+        laid += near
+        for column, (moved, *_) in zip(f.near, near, strict=True):
             # what wanders does so with half the amplitude at twice the pace, like a random walk
             pace = float(column.args["tau"]) if "cosine" in (column.args.get("form"), column.args.get("time")) else 1.0
-            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(space.rms(laid[-1][0]), 1e-30))
-    raw, white, absorbed = (np.stack(each, axis=-1) for each in zip(*laid, strict=True))
-    space.take_up(raw, np.maximum(prior, 1e-30), (white, absorbed))
+            prior.append(NEAR_SD * f.size / np.sqrt(len(f.near)) / pace / max(space.rms(moved), 1e-30))
+    raw, white, absorbed = zip(*laid, strict=True)
+    space.take_up(np.stack(raw, axis=-1), np.maximum(prior, 1e-30), (np.stack(white).T, np.stack(absorbed).T))
 
 
 def explained(space: Workspace, tried: Tried, found: list[Found]) -> float:

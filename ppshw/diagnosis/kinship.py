@@ -143,6 +143,16 @@ def stranger_than(named: Candidate, rival: Candidate) -> bool:
     return named.effect == "thermal_growth" and softens and named.covariate in rival.covariates
 
 
+def of_a_load(finding: Candidate) -> int | None:
+    """The component of the wrench that a finding gives way to out of proportion, by a name or without one."""
+    covariate = finding.covariate
+    if finding.effect == "nameless" and len(finding.covariates) == 1 and finding.covariates[0].startswith("on_"):
+        covariate = finding.covariates[0].rsplit("_", 1)[1]
+    elif finding.effect not in OF_A_LOAD:
+        return None
+    return WRENCH_COMPONENTS.index(covariate) if covariate in WRENCH_COMPONENTS else None
+
+
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:
     """Whether a rival is a function of the very load that the name goes with, at the very place."""
     here = (named.frame, named.component) == (rival.frame, rival.component)

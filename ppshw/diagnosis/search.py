@@ -224,7 +224,23 @@ def _greedy(
             found.append(Found(best, tried.name(best), p, evidence, first=evidence))
         take_up(space, tried, found)
         _reconsider(space, tried, found)
+        _as_shadows(space, tried, found)
     return found
+
+
+def _as_shadows(space: Workspace, tried: Tried, found: list[Found]) -> None:
+    """What was found before a louder one, and is the shadow of it: how warm a link had been before the recording was a
+    jump of the next joint's zero where the search began there (another author's 55058)."""
+    loudest = max((f.first for f in found), default=0.0)
+    for f in sorted(found, key=lambda f: f.first):
+        if f.first >= SHADOW * loudest:
+            break
+        take_up(space, tried, others := [g for g in found if g is not f])
+        if (caster := caster_of(tried, f.best, f.first, others)) is not None:
+            caster.more += tried.candidates[f.best].columns
+            caster.size = 0.0
+            found.remove(f)
+        take_up(space, tried, found)
 
 
 def _best(tried: Tried, found: Sequence[Found] = ()) -> tuple[int, float]:

@@ -24,6 +24,7 @@ SAME_EFFECT = 0.5
 # over hours shows as creep of a whole rail.
 SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1
 OF_THE_WAY = frozenset({*LOST_MOTION, "periodic_transmission"})  # what goes with a joint's own way or place alone
+ALIKE = 0.98  # cosine of what two ways to move do to the reflectors
 AT_ONCE = 0.02  # of the recording's duration: moments that are one
 
 
@@ -53,6 +54,8 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         wanders = other.effect == "drift" and candidate.frame == other.frame and "temp_" in candidate.covariate
         heat = other.effect == "thermal_growth" and candidate.covariate == "time"
         by_rail = other.effect == "drift" and candidate.frame in unturned.frames[1:]
+        if heat and acts_alike(tried, candidate, other):  # how warm its link was when nobody measured yet
+            same_joint = True
         slowly = heat or (by_rail and candidate.effect == "creep" and candidate.component is None)
         # a seat that each load finds anew follows anything slow, if loads lie there for long
         seats = candidate.frame == other.frame and all(column.function == "seated" for column in candidate.columns)
@@ -87,6 +90,18 @@ def at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
     if "time_h" not in one.shape or "time_h" not in other.shape:
         return False
     return abs(one.shape["time_h"] - other.shape["time_h"]) < AT_ONCE * float(np.ptp(tried.space.context.hours))
+
+
+def acts_alike(tried: Tried, one: Candidate, other: Candidate) -> bool:
+    """Whether both move the reflectors alike, in one component of a frame each: a link that bends about the axis of
+    the next joint is as that joint's zero."""
+    if "link_growth" in {column.function for k in (one, other) for column in k.columns}:
+        return False
+    ways = [{(column.frame, column.component) for column in k.columns if column.on == "frame"} for k in (one, other)]
+    if any(len(way) != 1 for way in ways):
+        return False
+    a, b = (tried.space.context.moved(*next(iter(way))) for way in ways)
+    return abs(float((a * b).sum())) > ALIKE * float(np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:

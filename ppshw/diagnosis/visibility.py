@@ -142,8 +142,9 @@ def sights(
     for at in range(0, len(names), AT_A_TIME):
         part = slice(at, at + AT_A_TIME)
         along = directions(tried, forms[part])
-        needed[part] = _needed(tried, np.array(names[part]), across(tried, along), enough) + NINE_OF_TEN
-        alike[part] = mimicked(among, across(among, along))
+        scores = across(tried, along)
+        needed[part] = _needed(tried, np.array(names[part]), scores, enough) + NINE_OF_TEN
+        alike[part] = mimicked(among, scores if among is tried else across(among, along))
     needed[seen[forms] == 0.0] = SEEN_AT  # nothing of the form is left: for the order of magnitude
     out = []
     for a, (j, three) in enumerate(zip(names, spread, strict=True)):
@@ -327,10 +328,8 @@ def across(tried: Tried, along: Array) -> Single:
 
 def _needed(tried: Tried, names: NDArray[np.int64], scores: Single, enough: float) -> Array:
     """(F,) the score along each name's form at which the evidence of the name is enough for a first finding."""
-    values = []
-    for u in LOOKED_AT:
-        evidence = tried.by_name(tried.evidence_alone(u * scores))
-        values.append(evidence[np.arange(len(names)), names])
+    evidence = tried.evidence_of_names(np.concatenate([u * scores for u in LOOKED_AT]))
+    values = evidence.reshape(len(LOOKED_AT), len(names), -1)[:, np.arange(len(names)), names]
     one, two = LOOKED_AT
     finite = np.isfinite(values[0]) & np.isfinite(values[1])
     low, high = (np.where(finite, v, 0.0) for v in values)

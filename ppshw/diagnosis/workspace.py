@@ -154,7 +154,7 @@ class Workspace:
 
     def absorb(self, white: Array) -> Array:
         """P Z: whitened columns (F·3T, k) less what the base model takes of them."""
-        return np.asarray(white - self.white @ cho_solve(self.factor, self.white.T @ white))
+        return np.asarray(white - self.white @ cho_solve(self.factor, self.white.T @ white, check_finite=False))
 
     @cached_property
     def directions(self) -> tuple[Array, Array, Array]:
@@ -169,7 +169,7 @@ class Workspace:
     def kept(self) -> Array:
         """(F, 3T, 3T) of P: what the base model leaves of a fit visit's own readings."""
         blocks = self.white.reshape(-1, self.rows, self.white.shape[1])
-        half = cho_solve(self.factor, self.white.T).T.reshape(blocks.shape)
+        half = cho_solve(self.factor, self.white.T, check_finite=False).T.reshape(blocks.shape)
         return np.asarray(np.eye(self.rows) - blocks @ np.swapaxes(half, 1, 2))
 
     def forget(self) -> None:

@@ -17,7 +17,7 @@ Grids of nonlinear parameters are part of the candidates: the evidence averages 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 from ppshw.diagnosis.library.by_heat_and_time import drift, thermal
@@ -50,6 +50,7 @@ def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
     jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (), lost: Mapping[str, float] = NOTHING_KNOWN,
+    loads: Collection[int] = (),
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -61,13 +62,15 @@ def library(
     jumps    moments of several jumps of a joint's zero that the recording speaks for most
     knocks   the same of reflectors
     lost     what joints lose when they turn back [m or rad], as far as it is known: how fast play can be taken up
+    loads    components of the wrench that a link seems to give way to out of proportion: tried more finely
     """
     makers = (
-        thermal, tracker_scale, nonlinear, clearance, coupling, moving_weight, force_sensor, creeping,
-        creeping_from_nothing, missing_compliance,
+        thermal, tracker_scale, coupling, moving_weight, force_sensor, creeping, creeping_from_nothing,
+        missing_compliance,
     )  # fmt: skip
     found = [*backlash(c, lost), *friction(c, lost), *(k for make in makers for k in make(c))]
     found += [k for make in (drift, force_sensor_jumps) for k in make(c, moments_about(c, moments))]
+    found += [k for make in (nonlinear, clearance) for k in make(c, loads)]
     found += moved_reflector(c, moments_about(c, moments), knocks)
     found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]
     found = [k for k in found if k.effect not in without]

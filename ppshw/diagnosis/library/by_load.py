@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,9 @@ from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.loads import load_of
 
 Array = NDArray[np.float64]
-TAKEN_UP = (0.6, 0.85, 1.2)  # widths, relative to the load's spread, over which slack is taken up by a load
+# Widths, relative to the load's spread, over which slack is taken up by a load, little by little, and in proportion to
+# it up to a stop.
+TAKEN_UP, FAR_STOPS = (0.6, 0.85, 1.2), (0.85, 1.2)
 # Shares of the visits whose load is below that at which stiffness changes.
 KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
 OPENS_AT = (0.3, 0.5, 0.7, 1.0, 1.4)  # relative to a load's spread: beyond it, either way, a link is softer
@@ -29,6 +31,13 @@ FALLS_AT, PRELOADED = (0.0, -0.3, 0.3, -0.7, 0.7, -1.2, 1.2), 0.3
 # Widths, relative to the load's spread, over which it falls little by little, wider ones being nonlinear stiffness; and
 # over which it falls in proportion to its load, and no farther, about these loads.
 SIDES, STOPS, STOPS_ABOUT = (0.02, 0.1, 0.3), (0.3, 0.5, 0.7), (-0.3, -0.15, 0.0, 0.15, 0.3)
+# By a load that something was found to go with: between those, as a fall of a width of 0.12 at 0.18 of the spread was
+# one at −0.7 of the next joint's (by 7 of log evidence), and slack that ends at two loads any function of them.
+FINE_SIDES, FINE_FALLS = (0.02, 0.05, 0.1, 0.17, 0.3), tuple(round(-1.2 + 0.1 * k, 1) for k in range(25))
+FINE_OPENS, FINE_ROUNDED = tuple(round(0.2 + 0.1 * k, 1) for k in range(15)), (0.02, 0.1, 0.3)
+FINE_STOPS = (0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6)
+FINE_POWERS = {0.5: (0.4, 0.5, 0.6), 0.67: (0.67,), 0.8: (0.75, 0.85), 1.5: (1.25, 1.5, 1.75), 2.0: (2.0,),
+               3.0: (2.5, 3.0, 4.0)}  # fmt: skip
 HELD = (0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # which a load must go beyond to push over what stays on its side
 # Visits beyond zero by which a load changes its sign: five to twelve of 400 showed a fall of 0.2 mrad at a p of 1e-41,
 # which was stiffness of weight 0.95 where falls were tried from 3 % of them on alone (a reviewer's arms).
@@ -42,17 +51,23 @@ PLACES, STRETCHES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), (0.12, 0.25)
 HALF_A_CYCLE = 1.5  # rad that a bearing turns at least, to tell its softer direction from a compliance
 
 
-def nonlinear(c: Context) -> Iterator[Candidate]:
+def nonlinear(c: Context, finely: Collection[int] = ()) -> Iterator[Candidate]:
+    """finely: components of loads that something goes with, whose forms are tried more finely."""
     for frame, name, acting in elastic_frames(c):
         for b in acting:
             where = {"frame": frame, "component": b}
             # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
             powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
+            about = {e: FINE_POWERS[e] if b in finely else (e,) for e, _ in powers}
             shapes: list[tuple[str, dict[str, Any], dict[str, float], float]] = [
-                ("load_power", {"exponent": e}, {"exponent": e}, share) for e, share in powers
-            ]
+                ("load_power", {"exponent": e}, {"exponent": e}, share / len(about[among]))
+                for among, share in powers for e in about[among]
+            ]  # fmt: skip
             for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
                 shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
+            stops = FINE_STOPS if b in finely else FAR_STOPS
+            for side in [{"width": w, "hard": True} for w in stops]:
+                shapes.append(("load_side", side, _of_load(c, frame, b, side), 1 / len(stops)))
             for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(
@@ -61,9 +76,9 @@ def nonlinear(c: Context) -> Iterator[Candidate]:
                         share if comp == b else 0.2 * share,
                     )  # fmt: skip
             if changes_side(c.wrenches[:, frame, b]):
-                for column, shape, way in _opened(c, frame, b):
+                for column, shape, way, share in _opened(c, frame, b, b in finely):
                     yield Candidate(
-                        "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, 0.5,
+                        "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, share,
                         way=way,
                     )  # fmt: skip
             for knees, width in _knees(c, frame, b):
@@ -76,15 +91,20 @@ def nonlinear(c: Context) -> Iterator[Candidate]:
                 )
 
 
-def _opened(c: Context, frame: int, b: int) -> Iterator[tuple[Column, dict[str, float], int]]:
+def _opened(c: Context, frame: int, b: int, finely: bool) -> Iterator[tuple[Column, dict[str, float], int, float]]:
     """A preload is lost beyond some load to either side, from where on a link is softer: sharply, or little by little,
-    as a clearance is used up, but against the load. Columns, their shapes and signs."""
+    as a clearance is used up, but against the load. Columns, their shapes, signs and shares."""
     where, std = {"frame": frame, "component": b}, float(c.wrenches[:, frame, b].std())
-    for at in OPENS_AT:
-        shape = {"at": at * std, "width": 0.1 * std}
-        yield Column("frame", "load_beyond", {**where, **shape}, frame, b), {"knee_load": at * std}, 1
-    for side in [*({"width": width} for width in USED_UP), *({"width": width, "hard": True} for width in STOPS)]:
-        yield Column("frame", "load_side", {**where, **side}, frame, b), _of_load(c, frame, b, side), -1
+    beyond = [*itertools.product(FINE_OPENS if finely else OPENS_AT, FINE_ROUNDED if finely else (0.1,))]
+    for at, width in beyond:
+        shape = {"at": at * std, "width": width * std}
+        column = Column("frame", "load_beyond", {**where, **shape}, frame, b)
+        yield column, {"knee_load": at * std}, 1, 0.5 * len(OPENS_AT) / len(beyond)
+    used_up = [side for side in FINE_SIDES if side >= min(USED_UP)] if finely else USED_UP
+    shares = [*[0.5 * len(USED_UP) / len(used_up)] * len(used_up), *[0.5] * len(STOPS)]
+    sides = [*({"width": width} for width in used_up), *({"width": width, "hard": True} for width in STOPS)]
+    for side, share in zip(sides, shares, strict=True):
+        yield Column("frame", "load_side", {**where, **side}, frame, b), _of_load(c, frame, b, side), -1, share
 
 
 def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float, ...], float]]:
@@ -97,14 +117,15 @@ def _knees(c: Context, frame: int, component: int) -> Iterator[tuple[tuple[float
         yield from ((pair, float(width)) for pair in ((at[0], at[-1]), (at[1], at[-2])))
 
 
-def clearance(c: Context) -> Iterator[Candidate]:
+def clearance(c: Context, finely: Collection[int] = ()) -> Iterator[Candidate]:
+    """finely: components of loads that something goes with, whose falls are tried more finely."""
     for frame in range(1, c.machine.n + 1):
         name = c.machine.joint_names[frame - 1]
         for b in loads_on(c, frame):
-            for function, shape, share in _falls(c, frame, b):
+            for function, shape, share in _falls(c, frame, b, b in finely):
                 args = {"frame": frame, "component": b, **shape}
                 said = {**_of_load(c, frame, b, shape), **_falls_at(c, args)}
-                for comp in (b,) if "hard" in shape else range(6):
+                for comp in (b,) if "hard" in shape or (b in finely and _between(shape)) else range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, args, frame, comp),), said,
@@ -118,13 +139,15 @@ def clearance(c: Context) -> Iterator[Candidate]:
                 yield Candidate("clearance", name, name, *at, sides, _of_load(c, frame, b, args), 0.3, way=1)
 
 
-def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any], float]]:
+def _falls(c: Context, frame: int, b: int, finely: bool) -> Iterator[tuple[str, dict[str, Any], float]]:
     """How a joint may fall to its other side by a component of its load, and the shares of these."""
     w = c.wrenches[:, frame, b]
-    for offset in FALLS_AT:
+    at, sides = (FINE_FALLS, FINE_SIDES) if finely else (FALLS_AT, SIDES)
+    thin = len(FALLS_AT) * len(SIDES) / (len(at) * len(sides))
+    for offset in at:
         if changes_side(w - offset * w.std()):
-            share = 1.0 if abs(offset) < 0.5 else PRELOADED
-            yield from (("load_side", {"width": wide, "offset": offset}, share) for wide in SIDES)
+            share = thin * (1.0 if abs(offset) < 0.5 else PRELOADED)
+            yield from (("load_side", {"width": wide, "offset": offset}, share) for wide in sides)
     for wide, offset in itertools.product(STOPS, STOPS_ABOUT):
         if changes_side(w - offset * w.std()):
             yield "load_side", {"width": wide, "offset": offset, "hard": True}, 0.5
@@ -138,6 +161,12 @@ def _falls(c: Context, frame: int, b: int) -> Iterator[tuple[str, dict[str, Any]
             yield from (("load_side_held", {"width": wide, "start": k}, 0.5 / len(starts)) for k in starts)
     for of, wide in itertools.product(_of_payload(c, frame, b), SIDES):
         yield "load_side", {"width": wide, **of}, 0.5
+
+
+def _between(side: Mapping[str, Any]) -> bool:
+    """Whether a fall is between those that are tried in all directions."""
+    wide, offset = side["width"], side.get("offset", 0.0)
+    return (wide in FINE_SIDES and wide not in SIDES) or (offset in FINE_FALLS and offset not in FALLS_AT)
 
 
 def _of_load(c: Context, frame: int, component: int, side: Mapping[str, Any]) -> dict[str, float]:
