@@ -177,8 +177,8 @@ def _look(
     space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], lost: Mapping[str, float],
     tell: Callable[[int], None],
 ) -> tuple[Tried, list[Found]]:  # fmt: skip
-    """before: what an earlier look found, whose moments, periods, bands of waves and loads are tried more finely; lost:
-    what joints lose by it."""
+    """before: what an earlier look found, whose moments, periods, bands of waves, loads and creep are tried more
+    finely; lost: what joints lose by it."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
@@ -188,7 +188,8 @@ def _look(
     # so many columns would fit anything that few visits say
     most = COLUMNS_PER_VISIT * int(space.fit.sum())
     loads = {load for k in before if (load := of_a_load(k)) is not None}
-    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost, loads)
+    creeps = any(k.effect == "creep" for k in before)
+    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost, loads, creeps)
     every = [k for k in every if most >= len(k.columns)]
     named = as_weighed(space.context, every)
     kept = {id(k) for k in named}

@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, Name, Tried
 from ppshw.diagnosis.found import Found, coefficients, explained, is_both, pieces_of, take_up
-from ppshw.diagnosis.kinship import never_turned, winds_up
+from ppshw.diagnosis.kinship import OF_A_LOAD, never_turned, winds_up
 from ppshw.diagnosis.parameters import pulled_along, spread_of
 from ppshw.diagnosis.workspace import Workspace
 
@@ -31,7 +31,11 @@ MOST_NAMES = 5  # that are told besides
 # friction of ten authors and of six sealed decks, where it was found, took 0.65 %.
 SOFT, BRIEF = 8.0, 0.012
 # How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
-MAY_BE = {"backlash": 0.7, "drift": 0.45}
+MAY_BE = {"backlash": 0.7, "drift": 0.45, "clearance": 0.7, "nonlinear_stiffness": 0.7}
+# Relative to the load's spread, widths over which what falls little by little is a joint that falls or one that gives
+# way softly at first: of five such of two authors three were the one and two the other, at 0.29, 0.47 and 0.50, and at
+# 0.30 and 0.36.
+EITHER = (0.25, 0.65)
 # Where another's bare form says more, what all near forms say is little to go by: of two reflectors one that was moved
 # was a scale with 0.95, which the other's form said as well (another author's 31029).
 BY_NEAR_FORMS = math.log(4.0)
@@ -125,11 +129,17 @@ def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
 
     Friction play between soft walls: of a joint that loses a large part of its way after it turned back, or takes up
     what it lost over a very small part of its travel. No form tells the two apart, only how much is lost, and that not
-    surely. A jump of a rail that nothing before it turns one of the base, which only fixed monuments tell.
+    surely. A joint that falls to its other side a stiffness, and the other way round, where it does so softly. A jump
+    of a rail that nothing before it turns one of the base, which only fixed monuments tell.
     """
     candidate = tried.candidates[f.best]
     if candidate.effect == "zero_shift" and candidate.joint in never_turned(space.machine).frames[1:]:
         return ("drift", None) if ("drift", None) in tried.names else None
+    if candidate.effect in OF_A_LOAD:
+        first, sibling = candidate.columns[0], (next(iter(OF_A_LOAD - {candidate.effect})), candidate.joint)
+        softly = first.function == "load_side" and not first.args.get("hard")
+        either = softly and EITHER[0] <= first.args["width"] <= EITHER[1]
+        return sibling if either and sibling in tried.names else None
     play = ("backlash", candidate.joint)
     if candidate.effect != "friction_hysteresis" or play not in tried.names:
         return None

@@ -172,6 +172,8 @@ def column_of(covariate: str) -> tuple[str, str]:
         return f"q_{covariate.removeprefix('stay_')}", "anew with every move"
     if covariate.startswith("pace_"):
         return f"q_{covariate.removeprefix('pace_')}", "how much it was moved"
+    if covariate.startswith("rest_"):
+        return f"q_{covariate.removeprefix('rest_')}", "how far from its setpoint it came to rest"
     if covariate.startswith("late_"):
         tau, late = covariate.removeprefix("late_").split("_", 1)
         column, how = column_of(late)

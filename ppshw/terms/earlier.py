@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 # A pause after which nothing is known of what went before, unless the earlier visits had longer ones [s]; a choice.
 PAUSE_S = 3600.0
 SAME_S = 1e-3  # visits at the same moment are the same visit
+IN_A_ROW = 3  # visits without times, at poses of earlier ones one after the other: the same visits
 SAME_POSE = 1e-4  # that two recordings of one visit may round a joint's place apart [m, rad]
 SAME_LOAD_N = 5.0  # and a tenth of it: forces under one label that differ by more are of two loads
 
@@ -46,10 +47,23 @@ def known_from_to(end: float, hours: Array) -> tuple[float, float]:
 
 
 def shared(earlier: Recording, recording: Recording) -> Mask:
-    """Which of the earlier visits are a recording's too, by their times (in order) and poses."""
+    """Which of the earlier visits are a recording's too, by their times (in order) and poses; where neither has times,
+    the run of visits at whose poses, one after the other, it stands or begins."""
+    out = np.zeros(len(earlier), dtype=bool)
+    if not len(recording) or not len(earlier):
+        return out
+    if _untimed(earlier) and _untimed(recording):
+        for at in range(len(earlier)):
+            count = min(len(recording), len(earlier) - at)
+            if count < min(IN_A_ROW, len(earlier)):
+                break
+            if np.abs(earlier.q[at : at + count] - recording.q[:count]).max() <= SAME_POSE:
+                out[at : at + count] = True
+                break
+        return out
     time = recording.time
-    if not len(time) or not (np.isfinite(time).all() and np.isfinite(earlier.time).all()):
-        return np.zeros(len(earlier), dtype=bool)
+    if not (np.isfinite(time).all() and np.isfinite(earlier.time).all()):
+        return out
     after = np.searchsorted(time, earlier.time)
     either = np.stack([np.minimum(after, len(time) - 1), np.maximum(after - 1, 0)])
     when = np.abs(earlier.time - time[either]) <= SAME_S
@@ -61,11 +75,17 @@ def continued(earlier: Recording | None, recording: Recording) -> tuple[Recordin
     """A recording with the earlier visits among its own, by time (those after it say what its loads weigh), and which
     rows are its own.
 
-    It stands alone where a time is unknown, where its visits are not in order, or where it begins long after.
+    It stands alone where a time of one of the two alone is unknown, where its visits are not in order, or where it
+    begins long after. Without any times it has its place among the earlier visits, or follows them at once.
     """
     own = np.ones(len(recording), dtype=bool)
     if earlier is None or not len(recording) or not len(earlier):
         return recording, own
+    if _untimed(earlier) and _untimed(recording):
+        mine = shared(earlier, recording)
+        begins = int(np.argmax(mine)) if mine.any() else len(earlier)
+        when = np.concatenate([np.flatnonzero(~mine), begins + np.arange(len(recording)) / len(recording)])
+        return _among(earlier.subset(~mine), recording, when)
     time = recording.time
     if not (np.isfinite(time).all() and np.isfinite(earlier.time).all()) or (np.diff(time) < 0).any():
         return recording, own
@@ -75,9 +95,18 @@ def continued(earlier: Recording | None, recording: Recording) -> tuple[Recordin
     if not (useful & (earlier.time < time[-1])).any():
         return recording, own
     earlier = earlier.subset(useful)
-    order = np.argsort(np.concatenate([earlier.time, time]), kind="stable")
-    rows = np.concatenate([np.zeros(len(earlier), dtype=bool), own])
+    return _among(earlier, recording, np.concatenate([earlier.time, time]))
+
+
+def _among(earlier: Recording, recording: Recording, when: Array) -> tuple[Recording, Mask]:
+    """Both in the order of `when`, the earlier ones' and the recording's; and which rows are the recording's."""
+    order = np.argsort(when, kind="stable")
+    rows = np.arange(len(when)) >= len(earlier)
     return _joined(_told_apart(earlier, recording), recording).subset(order), rows[order]
+
+
+def _untimed(recording: Recording) -> bool:
+    return not np.isfinite(recording.time).any()
 
 
 def another_load(one: Array, other: Array) -> bool:

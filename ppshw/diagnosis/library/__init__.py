@@ -50,7 +50,7 @@ def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
     jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (), lost: Mapping[str, float] = NOTHING_KNOWN,
-    loads: Collection[int] = (),
+    loads: Collection[int] = (), creeps: bool = False,
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -63,13 +63,14 @@ def library(
     knocks   the same of reflectors
     lost     what joints lose when they turn back [m or rad], as far as it is known: how fast play can be taken up
     loads    components of the wrench that a link seems to give way to out of proportion: tried more finely
+    creeps   whether something seems to creep: its two time constants are tried more finely
     """
     makers = (
-        thermal, tracker_scale, coupling, moving_weight, force_sensor, creeping, creeping_from_nothing,
-        missing_compliance,
+        thermal, tracker_scale, coupling, moving_weight, force_sensor, creeping_from_nothing, missing_compliance,
     )  # fmt: skip
     found = [*backlash(c, lost), *friction(c, lost), *(k for make in makers for k in make(c))]
     found += [k for make in (drift, force_sensor_jumps) for k in make(c, moments_about(c, moments))]
+    found += creeping(c, creeps)
     found += [k for make in (nonlinear, clearance) for k in make(c, loads)]
     found += moved_reflector(c, moments_about(c, moments), knocks)
     found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]

@@ -38,7 +38,9 @@ FINE_OPENS, FINE_ROUNDED = tuple(round(0.2 + 0.1 * k, 1) for k in range(15)), (0
 FINE_STOPS = (0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6)
 FINE_POWERS = {0.5: (0.4, 0.5, 0.6), 0.67: (0.67,), 0.8: (0.75, 0.85), 1.5: (1.25, 1.5, 1.75), 2.0: (2.0,),
                3.0: (2.5, 3.0, 4.0)}  # fmt: skip
-HELD = (0.07, 0.1, 0.15, 0.22, 0.33, 0.5)  # which a load must go beyond to push over what stays on its side
+# Widths which a load must go beyond to push over what stays on its side, about these loads.
+HOLDS, HELD, HELD_ABOUT = "load_side_held", (0.07, 0.1, 0.15, 0.22, 0.33, 0.5), (0.0, -0.3, 0.3)
+FINE_HELD_ABOUT = tuple(round(-0.9 + 0.15 * k, 2) for k in range(13))
 # Visits beyond zero by which a load changes its sign: five to twelve of 400 showed a fall of 0.2 mrad at a p of 1e-41,
 # which was stiffness of weight 0.95 where falls were tried from 3 % of them on alone (a reviewer's arms).
 FEW_BEYOND, HARDLY_CHANGES = 5, 0.03
@@ -125,7 +127,10 @@ def clearance(c: Context, finely: Collection[int] = ()) -> Iterator[Candidate]:
             for function, shape, share in _falls(c, frame, b, b in finely):
                 args = {"frame": frame, "component": b, **shape}
                 said = {**_of_load(c, frame, b, shape), **_falls_at(c, args)}
-                for comp in (b,) if "hard" in shape or (b in finely and _between(shape)) else range(6):
+                alone = (
+                    "hard" in shape or (b in finely and _between(shape)) or (function == HOLDS and "offset" in shape)
+                )
+                for comp in (b,) if alone else range(6):
                     yield Candidate(
                         "clearance", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
                         (Column("frame", function, args, frame, comp),), said,
@@ -155,10 +160,14 @@ def _falls(c: Context, frame: int, b: int, finely: bool) -> Iterator[tuple[str, 
         middle = np.quantile(w, BALANCED) / w.std()
         for wide, offset in itertools.product(SIDES[1:], map(float, middle)):
             yield "load_side", {"width": wide, "offset": offset}, PRELOADED
-    if changes_side(w):
-        for wide in HELD:  # where no load has pushed it over yet, it may have lain on either side
-            starts = (-1, 1) if abs(w[0]) < wide * w.std() else (0,)
-            yield from (("load_side_held", {"width": wide, "start": k}, 0.5 / len(starts)) for k in starts)
+    held_about = FINE_HELD_ABOUT if finely else HELD_ABOUT
+    for wide, offset in itertools.product(HELD, held_about):
+        beyond = w - offset * w.std()
+        if changes_side(beyond):  # where no load has pushed it over yet, it may have lain on either side
+            starts = (-1, 1) if abs(beyond[0]) < wide * w.std() else (0,)
+            share = 0.5 if not offset else PRELOADED / (len(held_about) - 1)
+            about = {"offset": offset} if offset else {}
+            yield from ((HOLDS, {"width": wide, "start": k, **about}, share / len(starts)) for k in starts)
     for of, wide in itertools.product(_of_payload(c, frame, b), SIDES):
         yield "load_side", {"width": wide, **of}, 0.5
 

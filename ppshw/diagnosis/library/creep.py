@@ -22,7 +22,8 @@ ALONG = ("exponential", "log", "wrench", "total")
 BY_WEIGHT = ("exponential", "log")  # of what hangs there, whatever its moment in the pose: under what bears it alike
 
 
-def creeping(c: Context) -> Iterator[Candidate]:
+def creeping(c: Context, finely: bool = False) -> Iterator[Candidate]:
+    """finely: something creeps here, and its slow part may be four or sixteen times as slow as its fast one."""
     labels = set(c.recording.load)
     if len(labels) < 2 and labels != NOBODY_SAYS:
         return
@@ -35,7 +36,8 @@ def creeping(c: Context) -> Iterator[Candidate]:
         forms = forms[-1:]
     # alone, or beside one that creeps on where it has come to rest, as in load cells
     rates: list[tuple[float, ...]] = [(tau,) for tau in CREEP_H]
-    rates += zip(CREEP_H, CREEP_H[SLOWER:], strict=False)
+    for slower in (SLOWER - 1, SLOWER, SLOWER + 1) if finely else (SLOWER,):
+        rates += zip(CREEP_H, CREEP_H[slower:], strict=False)
     ways = [
         (form, half, taus) for taus in rates for form, half in forms if form not in ("log", "last") or len(taus) == 1
     ]  # fmt: skip

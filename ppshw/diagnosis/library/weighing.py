@@ -93,6 +93,27 @@ def surely_misread(c: Context) -> bool:
     return bool((both[0] & both[1]).any())
 
 
+def may_be_pulled(c: Context) -> bool:
+    """Whether all that is read beside payloads may be what else pulls at each load the same way in space, as a weight
+    over a pulley does (of a fifty-fourth author's arms): no error of the sensor's."""
+    beside, turned = beside_the_payload(c).copy(), _base_axes_at_sensor(c)
+    levers = np.stack([np.cross(lever, way) for lever in np.eye(3) for way in turned], axis=2)  # (N, 3, 9)
+    for label in set(c.recording.load):
+        mine = np.array(c.recording.load) == label
+        for part, ways in ((slice(0, 3), np.stack(turned, axis=2)), (slice(3, 6), levers)):
+            columns, read = ways[mine].reshape(-1, ways.shape[2]), beside[mine, part].ravel()
+            left = read - columns @ np.linalg.lstsq(columns, read, rcond=1e-6)[0]
+            beside[mine, part] = left.reshape(-1, 3)
+    is_wrong, by, _ = _wrong(c, beside)
+    return not (is_wrong & (by > MUCH * _largest(c.recording))).any()
+
+
+def _base_axes_at_sensor(c: Context) -> list[Array]:
+    """Three (N, 3): the base's axes as the sensor has them."""
+    chain = chain_as_read(c)
+    return [gravity_in_sensor(replace(c.machine, gravity=axis), chain) for axis in np.eye(3)]
+
+
 def _largest(r: Recording) -> Array:
     """(6,) of every channel the largest force or moment that any read [N, N·m]."""
     return np.repeat(np.abs(r.wrench).reshape(len(r), 2, 3).max(axis=(0, 2)), 3)
@@ -101,9 +122,7 @@ def _largest(r: Recording) -> Array:
 def _gravity_as_read(c: Context) -> Array:
     """(3,) in the base, where what hangs there is pulled to by the forces; as strong as the machine file has it."""
     size, mass = float(np.linalg.norm(c.machine.gravity)), payloads_of(c)[:, 0] * weighed_often(c)
-    chain = chain_as_read(c)
-    along = [gravity_in_sensor(replace(c.machine, gravity=axis), chain) for axis in np.eye(3)]
-    pulls = (mass[:, None, None] * np.stack(along, axis=2)).reshape(-1, 3)
+    pulls = (mass[:, None, None] * np.stack(_base_axes_at_sensor(c), axis=2)).reshape(-1, 3)
     found = np.linalg.lstsq(pulls, c.recording.wrench[:, :3].ravel(), rcond=1e-6)[0]
     strength = float(np.linalg.norm(found))
     return np.asarray(size * found / strength) if strength > 0.0 else c.machine.gravity
@@ -235,10 +254,10 @@ def _most(gram: Array, says: Array, moves: Array, at: Sequence[int]) -> float:
     return float(np.sqrt(values @ move @ values + SURELY**2 * (move * covariance).sum()))
 
 
-def _wrong(c: Context) -> tuple[NDArray[np.bool_], Array, Array]:
+def _wrong(c: Context, beside: Array | None = None) -> tuple[NDArray[np.bool_], Array, Array]:
     """Of every channel (6,) whether it reads other than rigid payloads weigh, by how much and with which noise, rms [N,
-    N·m]; with none where too few visits say so."""
-    r, beside = c.recording, beside_the_payload(c)
+    N·m]; with none where too few visits say so. beside (N, 6): what it reads beside them, or beside more."""
+    r, beside = c.recording, beside_the_payload(c) if beside is None else beside
     every = _goes_with(c)
     free = len(r) - int(np.linalg.matrix_rank(every))
     if free < max(LEAST_FREE, len(r) / 2):

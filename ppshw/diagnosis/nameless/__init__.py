@@ -29,7 +29,7 @@ from ppshw.diagnosis.nameless.by_columns import (
     with_another_position,
 )
 from ppshw.diagnosis.nameless.by_load import by_own_weight, mounted, of_what_was_read, pulls, under_load
-from ppshw.diagnosis.nameless.by_motion import own_heat, random_seats, reversals
+from ppshw.diagnosis.nameless.by_motion import own_heat, random_seats, reversals, where_it_rests
 from ppshw.diagnosis.nameless.by_position import dents, finely, of_three_positions, of_two_positions, splices
 from ppshw.diagnosis.nameless.by_time import at_a_moment, rhythms
 from ppshw.terms.shapes import Context
@@ -48,7 +48,7 @@ def nameless(c: Context, jumps: Sequence[Jumps] = ()) -> list[Candidate]:
     makers = (
         of_one_column, along_a_joint, base_in_all_directions, at_some_moments, rhythms, random_seats, reversals,
         under_load, by_own_weight, mounted, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns,
-        finely, dents, splices, of_two_positions, of_three_positions, at_the_reflectors,
+        finely, dents, splices, of_two_positions, of_three_positions, at_the_reflectors, where_it_rests,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
     for kind in kinds:

@@ -49,6 +49,8 @@ def along_a_joint(c: Context) -> Iterator[Candidate]:
     columns = [name for name in (*columns_of(c), *late_columns(c)) if name not in anywhere or name in before]
     for k, joint in moving_joints(c):
         frame, comp = k + 1, own_component(c, k)
+        for name in nobody_knows(c):  # in waves of its position, say, as a field that turns a resolver's reading
+            yield smooth_pair(c, frame, comp, name, f"q_{joint}")
         for name in columns:
             if name not in (f"q_{joint}", "time"):  # the base model's own, and the waves of by_time
                 if name not in before:

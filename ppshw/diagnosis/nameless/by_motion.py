@@ -23,6 +23,7 @@ from ppshw.terms.shapes import Column, Context, named_column
 
 LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
 FLOATS_H = 0.04  # in which a carriage that floated up sinks again: some minutes
+LEAST_REST = 2e-6  # m, rms of a coordinate: what encoders differ less from setpoints by moves no reflector that shows
 SELDOM = 0.1  # share of what two joints' sides do together, by which of them there are many
 
 
@@ -77,6 +78,18 @@ def reversals(c: Context) -> Iterator[Candidate]:
         for frame, comp in itertools.product(range(1, c.machine.n + 1), range(6)):
             seats = rival(c, frame, comp, (one, other), (Column("frame", "covariate_pair", product, frame, comp),))
             yield replace(seats, share=SELDOM)
+
+
+def where_it_rests(c: Context) -> Iterator[Candidate]:
+    """A joint is not where its encoder says, by a share of how far that is from its setpoint: read before it came to
+    rest, or on the motor's side of what winds up."""
+    for k, name in moving_joints(c):
+        own = own_component(c, k)
+        off = named_column(c, f"rest_{name}")
+        if float(np.sqrt(np.mean((c.moved(k + 1, own) * (off - off.mean())[:, None]) ** 2))) > LEAST_REST:
+            yield rival(c, k + 1, own, (f"rest_{name}",), (
+                Column("frame", "covariate", {"name": f"rest_{name}"}, k + 1, own),
+            ))  # fmt: skip
 
 
 def _goes_along(c: Context, frame: int) -> list[str]:

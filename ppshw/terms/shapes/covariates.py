@@ -25,17 +25,18 @@ def loads_came(c: Context) -> Array:
     return c.once(("loads came",), lambda: changed_at(c.recording.load, c.hours, c.recording.load_age_s))
 
 
-OF_A_JOINT = ("q_", "move_", "way_", "stay_", "pace_", "approach_")
+OF_A_JOINT = ("q_", "move_", "way_", "stay_", "pace_", "rest_", "approach_")
 
 
 def named_column(c: Context, name: str) -> Array:
     """A column by its contract name: q_<joint>, time, temp_<place>_C, settle_s, Fx … Mz, cov_<name>; or what is made of
     one: on_<frame>_<Fx … Mz> (what acts on that frame), move_<joint> (from the visit before), way_<joint> (since it
     turned back), stay_<joint> (how often it has moved until then), pace_<joint> (way a joint went since the visit
-    before, per hour), reach (from the base to the last frame), azimuth, elevation and distance (of the reflectors from
-    the instrument, the first from its mean), incidence (of the beam along that axis of the end effector where it
-    changes most), pause (since the visit before, h), load and former_load (mass of this payload and of the one before,
-    kg), mounting (how often the load was changed until then), previous_<column> (at the visit before),
+    before, per hour), rest_<joint> (how far from its setpoint it came to rest), reach (from the base to the last
+    frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), incidence
+    (of the beam along that axis of the end effector where it changes most), pause (since the visit before, h), load and
+    former_load (mass of this payload and of the one before, kg), mounting (how often the load was changed until then),
+    previous_<column> (at the visit before),
     late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
@@ -55,6 +56,9 @@ def named_column(c: Context, name: str) -> Array:
     if name.startswith("pace_"):
         gone = np.abs(np.diff(r.q[:, joints.index(name[5:])]))
         return np.concatenate([[0.0], gone / np.maximum(np.diff(c.hours), LEAST_H)])
+    if name.startswith("rest_"):
+        k = joints.index(name[5:])
+        return np.asarray(r.q[:, k] - r.q_cmd[:, k])
     if name in ("azimuth", "elevation"):
         at = seen_at(c, name)[0].mean(axis=1)
         return np.asarray(np.angle(np.exp(1j * at) / np.exp(1j * at).mean()))

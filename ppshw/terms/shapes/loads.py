@@ -101,11 +101,13 @@ def load_of(c: Context, frame: int, component: int, of: str = "") -> Array:
     return np.asarray(w - own_weight(c, frame, component)) if of == "payload" else w
 
 
-def load_side_held(c: Context, frame: int, component: int, width: float, start: int = 0) -> Array:
-    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width relative to the spread;
-    start: the side at first, where that is known."""
-    w = c.wrenches[:, frame, component]
-    return side_held(w, width * _spread(c, frame, component), start)
+def load_side_held(
+    c: Context, frame: int, component: int, width: float, start: int = 0, offset: float = 0.0
+) -> Array:  # fmt: skip
+    """Which side a joint lies on that stays until the load pushes it over: −1 or 1; width and offset relative to the
+    spread; start: the side at first, where that is known."""
+    spread = _spread(c, frame, component)
+    return side_held(c.wrenches[:, frame, component] - offset * spread, width * spread, start)
 
 
 def load_bump(c: Context, frame: int, component: int, knot: int, count: int) -> Array:
