@@ -7,6 +7,7 @@ duplicate names and axes that are no unit vectors are errors that name file, lin
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -30,7 +31,8 @@ STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but mil
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 # What stands in a machine file beyond these was meant in other units: ours. Turns of a joint; lengths and scatter [m];
 # gravity [m/s²]; how far a body's centre is from its frame, if that is beyond the machine's reach [m]; masses.
-MOST_TURNS, MOST_LONG, COARSE_M = 3.0, 100.0, 5e-3
+SAME_PLACE_M = 1e-3  # of two reflectors, which have half an inch across
+MOST_TURNS, MOST_LONG, COARSE_M = 6.0, 100.0, 5e-3
 EARTH_G, LEAST_FAR_M, HEAVY_KG = (9.5, 10.1), 5.0, 1e5
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -195,6 +197,9 @@ def load_machine(path: Path | str) -> Machine:
     targets = _named_points(tip, "targets")
     if not targets:
         tip.fail(f"'{tip.path('targets')}' is empty, expected at least one target", "targets")
+    for (one, there), (other, here) in itertools.combinations(targets.items(), 2):
+        if np.linalg.norm(there - here) < SAME_PLACE_M:
+            tip.fail(f"'{one}' and '{other}' are at the same place, expected reflectors beside each other", "targets")
     points = _named_points(tip, "points", optional=True)
     for twin in set(points) & set(targets):
         tip.fail(f"'{twin}' is both a target and a point", "points")
@@ -374,6 +379,8 @@ def _tracker(top: Section) -> TrackerModel:
         return TrackerModel(2.0e-5, np.eye(4), True)
     sigma = section.number("position_sigma", default=2.0e-5, low=1e-9)
     said = section.plain("base", default=None)
+    if isinstance(said, str) and said != "estimate":
+        section.fail(f"'{section.path('base')}' is '{said}', expected xyz and rpy, or estimate", "base")
     base = np.eye(4) if said is None else None if said == "estimate" else _placement(section.need("base"))
     known = section.text("targets", default="known", choices=("known", "estimate")) == "known"
     section.done()

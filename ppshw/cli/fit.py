@@ -161,7 +161,7 @@ def _identified(answer: Mapping[str, Any], not_told_apart: Sequence[str]) -> lis
     from ppshw.recording import listed
 
     aside = [v - 1 for v in answer["set_aside"]]
-    turned, claimed = "", " (as the machine file has it: fewer than three reflectors)"
+    turned, claimed = "", " (not told from the scatter of the pose: fewer than three reflectors)"
     if answer["pose_sigma_mrad"] is not None:
         turned, claimed = f", {np.linalg.norm(answer['pose_sigma_mrad']):.3f} mrad", ""
     lines = [

@@ -49,6 +49,9 @@ BLOCK = 4096
 # Ours.
 ELSEWHERE, BY_A_ROW = 0.01, 0.2
 ENOUGH_TO_SAY = 500  # visits that say how far a joint moves reflectors
+# Visits, readings that do not change, and reflectors that moved: of an instrument that froze; what is left by setpoints
+# in place of an encoder that did.
+MOVED_VISITS, FROZEN_M, MOVED_M, IF_FROZEN = 5, 1e-7, 0.01, 0.3
 AT_REST_M = 5e-5  # that a servo at rest may move the reflectors, of a beam's 0.5 mm
 
 
@@ -59,6 +62,7 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     Raises RecordingError when not single readings but most of them, or most of one reflector's, are far from where the
     ideal machine has them, or exactly there.
     """
+    refuse_frozen(machine, recording)
     kept = recording
     for _ in range(ROUNDS):
         off, ideal = _missed(machine, recording, kept)
@@ -84,6 +88,33 @@ def without_gross_errors(machine: Machine, recording: Recording) -> tuple[Record
     _refuse_mostly_gross(machine, recording, gross, off)
     gross |= misread(machine, recording)[:, None] & recording.seen
     return replace(kept, points=np.where(gross[..., None], np.nan, recording.points)), np.asarray(gross.any(axis=1))
+
+
+def refuse_frozen(machine: Machine, recording: Recording) -> None:
+    """Raise RecordingError where an instrument or an encoder read the same all the time while the machine moved: no
+    unit of a column makes that good."""
+    visits = int(recording.measured.sum())
+    if visits < MOVED_VISITS:
+        return
+    part = recording.subset(recording.measured)
+    still = float(np.nanmax(np.nanmax(part.points, axis=0) - np.nanmin(part.points, axis=0)))
+    moved = float(np.ptp(point_positions(machine, part.q, machine.target_array), axis=0).max())
+    if still < FROZEN_M < MOVED_M < moved:
+        raise RecordingError(
+            f"{recording.source}: every reflector was read at the same place at all {visits} visits, while the joints "
+            f"moved them by up to {moved:.3g} m: expected readings that change (an instrument that froze?)"
+        )
+    for k, joint in enumerate(machine.joints):
+        if np.ptp(part.q[:, k]) or np.ptp(part.q_cmd[:, k]) <= 0.0:
+            continue
+        q = part.q.copy()
+        q[:, k] = part.q_cmd[:, k]
+        if misfit(machine, replace(part, q=q)) < IF_FROZEN * misfit(machine, part):
+            raise RecordingError(
+                f"{recording.source}: q_{joint.name} is {part.q[0, k]:.6g} {joint.unit} at all {visits} visits, while "
+                f"its setpoints go from {part.q_cmd[:, k].min():.6g} to {part.q_cmd[:, k].max():.6g} and the "
+                "reflectors with them: expected positions that change (an encoder that froze?)"
+            )
 
 
 def _refuse_mostly_gross(machine: Machine, recording: Recording, gross: NDArray[np.bool_], off: Array) -> None:

@@ -200,7 +200,7 @@ def test_of_a_single_reflector_that_was_read_no_turns_are_said(desk: Path) -> No
     said = ppshw(*words)
     assert said.code == 0
     assert "mrad" not in said.out
-    assert "(as the machine file has it: fewer than three reflectors)" in " ".join(said.out.split())
+    assert "(not told from the scatter of the pose: fewer than three reflectors)" in " ".join(said.out.split())
     assert json.loads(ppshw(*words, "--json").out)["pose_sigma_mrad"] is None
     given = [
         "--machine",

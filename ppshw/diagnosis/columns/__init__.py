@@ -19,7 +19,7 @@ from ppshw.diagnosis.columns.moments import doubts_of_moments, with_their_sign
 from ppshw.diagnosis.columns.payloads import doubts_of_gravity, mistaken_units, mistaken_wrenches
 from ppshw.diagnosis.columns.positions import a_row_off, askew, exchanged_at_times, mistaken_positions
 from ppshw.diagnosis.columns.sides import mistaken_sides
-from ppshw.identification.plausible import is_another_machine
+from ppshw.identification.plausible import is_another_machine, refuse_frozen
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 
@@ -38,6 +38,7 @@ def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
     """The same by what needs no fit: the sign of all moments together is not asked for, and said to be open where the
     forces have the opposite one. What leaves the recording none of this machine's is no correction."""
+    refuse_frozen(machine, recording)
     at_first = recording
     recording, found = a_row_off(machine, recording)
     recording, exchanged = exchanged_at_times(machine, recording)
