@@ -121,7 +121,7 @@ MACHINES: dict[str, tuple[Spoil, str]] = {
     "thirteen joints": (
         put("name: x\ngravity: [0, 0, -9.8]\njoints:\n" + "".join(ONE_JOINT.replace("NAME", f"j{k}") for k in range(13))
             + "tip: {targets: {P: [0, 0, 0]}}\n"), "'joints' has 13 entries, expected 1 to 12"),
-    "a base that is neither": (swap("  position_sigma", "  base: guess\n  position_sigma"), "'tracker.base' is 'guess'"),
+    "a base that is neither": (swap("  position_sigma", "  base: guess\n  position_sigma"), "'tracker.base' is 'guess', expected xyz and rpy, or estimate"),
     "targets neither known nor not": (swap("  position_sigma", "  targets: maybe\n  position_sigma"), "known or estimate"),
     "no noise at all": (swap("2.0e-5", "0"), "'tracker.position_sigma' is 0"),
     "a list at the top": (put("- 1\n- 2\n"), "expected a mapping at the top"),

@@ -327,7 +327,7 @@ def test_plan_asks_whether_limits_of_many_turns_are_degrees(desk: Path) -> None:
     assert "lower: -1.5, upper: 1.5" in text
     words = ["plan", desk / "little.yaml", "--machine", desk / "degrees.yaml", "--json"]
     for turn, warnings in (
-        (9.4, []),
+        (12.56637, []),  # what many wrists turn
         (90, ["joint 'turn': -90 … 90 rad is 28.6 turns; are these degrees?"]),
     ):
         wide = text.replace("lower: -1.5, upper: 1.5", f"lower: -{turn}, upper: {turn}")

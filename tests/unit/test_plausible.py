@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ppshw.calibration import Calibration
@@ -16,7 +17,14 @@ from ppshw.diagnosis import diagnose
 from ppshw.errors import IdentificationFailed, RecordingError
 from ppshw.evaluation import evaluate, figures, residuals
 from ppshw.identification import identify
-from ppshw.identification.plausible import doubts, is_another_machine, misread, rests_off, without_gross_errors
+from ppshw.identification.plausible import (
+    doubts,
+    is_another_machine,
+    misread,
+    refuse_frozen,
+    rests_off,
+    without_gross_errors,
+)
 from ppshw.kinematics import point_positions
 from ppshw.machine import Machine, load_machine
 from ppshw.machine import doubts as doubts_of_file
@@ -162,11 +170,34 @@ def test_millimetres_for_metres_are_another_machine(measured: tuple[Machine, Rec
     assert ("or is `tracker.base: estimate` wanted there?" in str(said.value)) == nobody_wrote_estimate
 
 
-def test_a_machine_that_never_moved_is_another_machine(measured: tuple[Machine, Recording]) -> None:
+@pytest.mark.parametrize("command", [identify, diagnose])
+def test_an_instrument_that_froze_is_none_in_other_units(
+    measured: tuple[Machine, Recording], command: Callable[[Machine, Recording], object]
+) -> None:
+    """All joints were in degrees then, of weight 1.00 (a reviewer's)."""
     machine, recording = measured
     stood = np.broadcast_to(recording.points[0], recording.points.shape)
-    with pytest.raises(RecordingError, match="is it this machine, are they in metres"):
-        identify(machine, replace(recording, points=stood))
+    with pytest.raises(RecordingError, match=r"at the same place at all 90 visits, .* by up to [\d.]+ m: expected"):
+        command(machine, replace(recording, points=stood))
+
+
+@pytest.mark.parametrize("command", [identify, diagnose])
+def test_an_encoder_that_froze_is_told_from_a_joint_that_stood_still(
+    measured: tuple[Machine, Recording], command: Callable[[Machine, Recording], object]
+) -> None:
+    machine, recording = measured
+    frozen = recording.q.copy()
+    frozen[:, 0] = frozen[0, 0]
+    name = machine.joint_names[0]
+    with pytest.raises(RecordingError, match=rf"q_{name} is .* at all 90 visits, .* expected positions that change"):
+        command(machine, replace(recording, q=frozen))
+    # another setpoint for a joint that did stand still, as its encoder says, is no encoder that froze
+    refuse_frozen(machine, replace(recording, q_cmd=recording.q_cmd, q=frozen, points=_of_poses(machine, frozen)))
+
+
+def _of_poses(machine: Machine, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    into = inverse(machine.tracker.frame)
+    return np.asarray(point_positions(machine, q, machine.target_array) @ into[:3, :3].T + into[:3, 3])
 
 
 def test_what_cannot_be_determined_is_said(tmp_path: Path) -> None:

@@ -68,8 +68,8 @@ def nonlinear(c: Context, finely: Collection[int] = ()) -> Iterator[Candidate]:
             for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
                 shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
             stops = FINE_STOPS if b in finely else FAR_STOPS
-            for side in [{"width": w, "hard": True} for w in stops]:
-                shapes.append(("load_side", side, _of_load(c, frame, b, side), 1 / len(stops)))
+            for stop in [{"width": w, "hard": True} for w in stops]:
+                shapes.append(("load_side", stop, _of_load(c, frame, b, stop), 1 / len(stops)))
             for function, args, shape, share in shapes:
                 for comp in range(6):
                     yield Candidate(

@@ -31,6 +31,7 @@ from ppshw.diagnosis.nameless.rival import (
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
+ALONG_IT = 9  # bumps over a travel
 FROM_WITHIN = 0.05  # share of a temperature of an inner joint by which the base is said to move
 
 
@@ -50,7 +51,10 @@ def along_a_joint(c: Context) -> Iterator[Candidate]:
     for k, joint in moving_joints(c):
         frame, comp = k + 1, own_component(c, k)
         for name in nobody_knows(c):  # in waves of its position, say, as a field that turns a resolver's reading
-            yield smooth_pair(c, frame, comp, name, f"q_{joint}")
+            args = {"first": name, "second": f"q_{joint}", "a": 0, "count": ALONG_IT, "in_proportion": True}
+            yield rival(c, frame, comp, (name, f"q_{joint}"), [
+                Column("frame", "covariate_pair", {**args, "b": b}, frame, comp) for b in range(ALONG_IT)
+            ])  # fmt: skip
         for name in columns:
             if name not in (f"q_{joint}", "time"):  # the base model's own, and the waves of by_time
                 if name not in before:

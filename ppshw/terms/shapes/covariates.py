@@ -142,9 +142,11 @@ def covariate(c: Context, name: str, knot: int = 0, count: int = 1, evenly: bool
     return np.asarray(seen * bump(at, knot, count))
 
 
-def covariate_pair(c: Context, first: str, second: str, a: int, b: int, count: int) -> Array:
-    """A smooth function of two columns: bump `a` of the first times bump `b` of the second."""
-    return covariate(c, first, a, count) * covariate(c, second, b, count)
+def covariate_pair(
+    c: Context, first: str, second: str, a: int, b: int, count: int, in_proportion: bool = False
+) -> Array:  # fmt: skip
+    """A smooth function of two columns: bump `a` of the first, or the first itself, times bump `b` of the second."""
+    return covariate(c, first, a, 1 if in_proportion else count) * covariate(c, second, b, count)
 
 
 def bump(at: Array, knot: int, count: int) -> Array:

@@ -16,9 +16,9 @@ from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.modelled import extended
+from ppshw.diagnosis.search import _as_shadows, _in_one, _of_names, _starts, _worth, search
 from ppshw.diagnosis.search import _best as best_beside
-from ppshw.diagnosis.search import _in_one, _of_names, _starts, _worth, search
-from ppshw.diagnosis.shadows import SHADOW, caster_of, same_place
+from ppshw.diagnosis.shadows import SHADOW, acts_alike, caster_of, same_place
 from ppshw.diagnosis.weights import _also, as_well, weigh
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace, prepare
@@ -612,6 +612,57 @@ def test_what_heat_leaves_is_a_hundred_times_more_quiet_in_any_joint_s_zero(spac
     found = Found(warm, ("thermal_growth", "roll"), 0.0, 4000.0, first=4000.0)
     assert caster_of(tried, jump, 30.0, [found]) is found
     assert caster_of(tried, jump, 50.0, [found]) is None
+
+
+def test_what_heat_leaves_in_the_zero_that_turns_as_its_link_bends_is_ten_times_more_quiet(space: Workspace) -> None:
+    """A link that bends about the next joint's axis is as that joint's zero: how warm it had been was a jump of it."""
+    some = named(space, "thermal_growth", "zero_shift")
+    tried = Tried(space, some, 5e-5)
+    jumps = [j for j, k in enumerate(some) if k.effect == "zero_shift" and list(k.shape) == ["time_h"]]
+    bends = [
+        j for j, k in enumerate(some)
+        if k.effect == "thermal_growth" and len(k.columns) == 1 and k.columns[0].function == "temperature"
+    ]  # fmt: skip
+    alike, apart = (
+        next(
+            (j, jump) for jump in jumps for j in bends
+            if some[j].joint != some[jump].joint and acts_alike(tried, some[jump], some[j]) == is_alike
+        )
+        for is_alike in (True, False)
+    )  # fmt: skip
+    for (warm, jump), shadow in ((alike, True), (apart, False)):
+        found = Found(warm, tried.name(warm), 0.0, 4000.0, first=4000.0)
+        assert (caster_of(tried, jump, 300.0, [found]) is found) == shadow
+    fields = [space.context.moved(*next((c.frame, c.component) for c in some[j].columns)).ravel() for j in alike]
+    cosine = fields[0] @ fields[1] / np.prod([np.linalg.norm(field) for field in fields])
+    assert abs(cosine) > 0.98
+
+
+def test_what_was_found_before_what_casts_it_goes_to_that(space: Workspace) -> None:
+    """Where a search began elsewhere: 70 of log evidence beside growth that says 9,687 alone was a jump."""
+    quiet, loud = on_joint(space, "slipping", width=0.04 * travel_of(space)), on_joint(space, "approach")
+    there = moved_by(moved_by(space, loud, 12.0), quiet, 0.4)
+    some = [k for k in named(space, "backlash", "friction_hysteresis") if k.joint == NAME and len(k.columns) == 1]
+    tried = Tried(there, some, 5e-5)
+    play = next(j for j, k in enumerate(some) if k.columns[0].function == "approach")
+    winds = next(j for j, k in enumerate(some) if k.effect == "friction_hysteresis")
+
+    def both(sizes: tuple[float, float]) -> list[Found]:
+        return [Found(j, tried.name(j), 1e-9, size, first=size) for j, size in zip((winds, play), sizes, strict=True)]
+
+    found = both((20.0, 900.0))
+    _as_shadows(there, tried, found)
+    assert [f.name for f in found] == [("backlash", NAME)]
+    assert found[0].more == some[winds].columns
+    assert found[0].first > 900.0  # what it says alone
+    apart = moved_by(
+        moved_by(space, loud, 3.0), Column("frame", "temperature", {"place": "air", "tau": 0.0}, 1, 0), 3.0
+    )
+    warm = [k for k in named(space, "thermal_growth") if k.joint == "lateral" and len(k.columns) == 1]
+    tried = Tried(apart, [*some, *warm], 5e-5)
+    two = [Found(j, tried.name(j), 1e-9, 50.0, first=50.0) for j in (play, len(some))]
+    _as_shadows(apart, tried, two)
+    assert len(two) == 2
 
 
 def test_seats_of_loads_follow_what_is_slow_at_their_own_frame_and_are_left_of_it_when_quiet(space: Workspace) -> None:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
-from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.by_instrument import weighed
 from ppshw.diagnosis.library.by_load import FALLS_AT, clearance
 from ppshw.diagnosis.library.sampled import elastic_frames
+from ppshw.diagnosis.library.weighing import _base_axes_at_sensor, may_be_pulled, surely_misread
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import numbers_of
 from ppshw.diagnosis.search import search
@@ -26,6 +27,7 @@ from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.identification import judgement
 from ppshw.identification.noise_fit import Form, fit
 from ppshw.statics import link_wrenches
+from ppshw.terms import Situation
 from ppshw.terms.shapes import Column
 from ppshw.terms.shapes.covariates import loads_came
 from tests.unit.clean_case import clean_case
@@ -581,3 +583,101 @@ def test_a_last_link_that_gives_way_in_several_directions_lacks_a_compliance(tmp
     said = finding(there, tried, found[0])
     assert list(said["parameters"])[:6] == [f"compliance_{way}_by_Fx" for way in ("tx", "ty", "tz", "rx", "ry", "rz")]
     assert f"{last.name} gives way under Fx, which its file leaves out" in said["sentence"]
+
+
+OF_ONE_LOAD = 3  # Mx
+
+
+def by_one_load(space: Workspace, finely: bool) -> Tried:
+    """Clearance and stiffness by one load, as they are tried where something was found to go with it, or were not."""
+    every = library(space.context, loads={OF_ONE_LOAD} if finely else ())
+    some = [k for k in every if k.effect in ("clearance", "nonlinear_stiffness") and k.covariate == "Mx"]
+    return Tried(space, some, 5e-5)
+
+
+def said_of(tried: Tried) -> tuple[Candidate, float]:
+    evidence = tried.said()[0] + tried.log_share
+    best = int(np.argmax(evidence))
+    return tried.candidates[best], float(evidence[best])
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "args", "effect", "shape", "more"),
+    [
+        ("longitudinal", "load_side", {"width": 0.12, "offset": 0.18}, "clearance",
+         {"load_width": 0.12, "falls_at": 0.18}, 50.0),
+        ("pitch", "load_side", {"width": 0.95, "hard": True}, "nonlinear_stiffness", {"load_width": 0.95}, 2.0),
+        ("longitudinal", "load_side_held", {"width": 0.25, "offset": -0.4, "start": 1}, "clearance",
+         {"load_width": 0.25, "falls_at": -0.4}, -3.0),
+    ],
+)  # fmt: skip
+def test_a_load_that_something_goes_with_is_tried_between(
+    space: Workspace, name: str, function: str, args: dict[str, object], effect: str, shape: dict[str, float],
+    more: float,
+) -> None:  # fmt: skip
+    """A fall of a width of 0.12 at 0.18 of the load's spread was one at −0.7 of the next joint's, for certain; slack
+    that ends at 0.8 of it any function of the load; one that is held about a load stiffness (another author's)."""
+    frame = space.machine.joint_names.index(name) + 1
+    at = {"frame": frame, "component": OF_ONE_LOAD}
+    moved = moved_by(space, Column("frame", function, {**at, **args}, frame, OF_ONE_LOAD), 12.0)
+    (_, coarse), (best, fine) = said_of(by_one_load(moved, False)), said_of(by_one_load(moved, True))
+    assert (best.effect, best.joint, best.columns[0].function) == (effect, name, function)
+    spread = float(space.context.wrenches[:, frame, OF_ONE_LOAD].std())
+    assert {key: best.shape[key] / spread for key in shape} == pytest.approx(shape, abs=0.06)
+    assert fine > coarse + more
+
+
+def test_a_finer_grid_has_no_greater_share(space: Workspace) -> None:
+    """Of one load that is tried finely; by the others both are tried as they were."""
+
+    def share(loads: set[int], covariate: str) -> float:
+        every = library(space.context, loads=loads)
+        return sum(k.share for k in every if k.effect == "clearance" and k.covariate == covariate)
+
+    assert share({OF_ONE_LOAD}, "Mx") == pytest.approx(share(set(), "Mx"), rel=0.15)
+    assert share({OF_ONE_LOAD}, "My") == pytest.approx(share(set(), "My"), rel=0.15)
+
+
+def test_what_falls_softly_is_as_likely_to_give_way_softly(space: Workspace) -> None:
+    name = "longitudinal"
+    frame = space.machine.joint_names.index(name) + 1
+    weights = []
+    for width in (0.1, 0.3):
+        args = {"frame": frame, "component": OF_ONE_LOAD, "width": width}
+        moved = moved_by(space, Column("frame", "load_side", args, frame, OF_ONE_LOAD), 4.0)
+        found, _ = look(moved, ["clearance", "nonlinear_stiffness"], about=name)
+        assert [f.name for f in found] == [("clearance", name)]
+        weights.append(found[0].weights.get(("nonlinear_stiffness", name), 0.0))
+    assert weights[0] < 0.2
+    assert 0.3 < weights[1] < 0.5
+
+
+def test_a_slow_creep_may_be_four_or_sixteen_times_as_slow_as_the_fast_one(space: Workspace) -> None:
+    ratios = [
+        {round(k.shape["slow_tau_h"] / k.shape["tau_h"]) for k in library(space.context, creeps=creeps)
+         if k.effect == "creep" and "slow_tau_h" in k.shape}
+        for creeps in (False, True)
+    ]  # fmt: skip
+    assert ratios == [{8}, {4, 8, 16}]
+
+
+def test_what_pulls_the_same_way_in_space_and_bends_the_machine_is_no_error_of_the_sensor(
+    space: Workspace, tared_anew: Workspace
+) -> None:
+    """A weight over a pulley was one in two clean recordings (another author's): no rigid payload reads so."""
+    assert not may_be_pulled(tared_anew.context)
+    c = space.context
+    load = np.array(c.recording.load)
+    most = max(set(c.recording.load), key=c.recording.load.count)
+    pull = np.where((load == most)[:, None], np.array([800.0, 0.0, 0.0]), 0.0)
+    more = np.einsum("nij,nj->ni", np.stack(_base_axes_at_sensor(c), axis=2), pull)
+    more = np.concatenate([more, np.cross([0.1, 0.3, 1.0], more)], axis=1)
+    recording = replace(c.recording, wrench=c.recording.wrench + more)
+    model, theta = space.base.model, space.base.theta
+    rigid, pulled = (model.linearise(Situation.of(r), theta).positions for r in (c.recording, recording))
+    read = prepare(space.machine, replace(recording, points=recording.points + pulled - rigid), space.fit)
+    assert surely_misread(read.context)
+    assert may_be_pulled(read.context)
+    some = [k for k in library(read.context) if k.effect == "wrench_error"]
+    tried = Tried(read, some + named(space, "nameless")[:40], 5e-5)
+    assert search(read, tried, np.random.default_rng(0)) == []

@@ -11,6 +11,7 @@ from ppshw.diagnosis import _lost, weights
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.library import library
+from ppshw.diagnosis.library.lost_motion import SOFTEST_KNOWN
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.weights import MAY_BE, OUTSIDE, as_well
@@ -139,6 +140,22 @@ def test_a_joint_with_play_and_friction_has_both_if_both_lag(space: Workspace, f
         assert value["std"] < 0.2 * wanted
         assert f.weights[f.name] > 0.8
         assert f.p < 1e-4
+
+
+def test_a_bristle_beside_friction_is_no_play(space: Workspace) -> None:
+    """What is taken up over 36 times what it lost, be it a five-hundredth of the travel (another author's 55050)."""
+    name = "lateral"
+    k = space.machine.joint_names.index(name)
+    travel, own = float(np.ptp(space.recording.q[:, k])), own_component(space.context, k)
+    brief, long = (
+        Column("frame", "slipping", {"joint": k, "width": part * travel}, k + 1, own) for part in (0.005, 0.15)
+    )
+    there = moved_by(moved_by(space, brief, 3.0), long, 3.0)
+    assert 0.005 * travel > SOFTEST_KNOWN * 2 * 3.0 * 5e-5 / space.rms(brief.evaluate(space.context))
+    found, tried = look(there, ["friction_hysteresis", "backlash"], name)
+    assert {f.name[0] for f in found} == {"friction_hysteresis"}
+    play = np.flatnonzero(tried.name_of == tried.names.index(("backlash", name)))
+    assert any(tried.candidates[j].shape.get("width") == pytest.approx(0.005 * travel) for j in play)  # it was asked
 
 
 def test_play_that_the_base_model_takes_whole_is_not_asked_beside_friction(space: Workspace) -> None:

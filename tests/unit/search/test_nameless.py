@@ -302,6 +302,41 @@ def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_cran
     assert {column.component for column in best.columns} == set(range(6))
 
 
+def test_a_resolver_that_a_field_turns_is_unexplained_over_the_field_and_its_joint(space: Workspace) -> None:
+    """In proportion to a magnet's current and in a wave over the travel: jumps of a zero (another author's 54009)."""
+    k = space.machine.joint_names.index("lateral")
+    current = np.repeat(np.random.default_rng(5).choice([0.0, 350.0, 700.0], len(space.recording) // 4 + 1), 4)
+    covariates = {**space.recording.covariates, "magnet_A": current[: len(space.recording)]}
+    seen = replace(space.recording, covariates=covariates)
+    c = replace(space.context, recording=seen, reference=dict(space.context.reference))
+    wave = covariates["magnet_A"] * np.cos(1.5 * np.pi * c.u(k))
+    moved = of_size(space, c.moved(k + 1, own_component(c, k)) * wave[:, None], 3.0)
+    there = replace(space, recording=seen, context=c, data=space.data + moved)
+    found, tried = look(there, ["zero_shift", "drift"], "lateral")
+    assert {f.name for f in found} == {("nameless", None)}
+    best = best_of(tried, found[0])
+    assert (best.frame, set(best.covariates)) == ("lateral", {"cov_magnet_A", "q_lateral"})
+
+
+def test_an_encoder_that_is_read_before_its_joint_came_to_rest_is_unexplained_over_how_far_it_was(
+    space: Workspace,
+) -> None:
+    """Scatter of that joint otherwise, and nothing missing (√λ 100, another author's 54014)."""
+    k = space.machine.joint_names.index("yaw")
+    off = np.zeros_like(space.recording.q)
+    off[:, k] = np.random.default_rng(1).normal(0.0, 1e-4, len(off))
+    seen = replace(space.recording, q_cmd=space.recording.q - off)
+    context = replace(space.context, recording=seen, reference=dict(space.context.reference))
+    moved = of_size(space, context.moved(k + 1, own_component(context, k)) * off[:, k : k + 1], 2.0)
+    there = replace(space, recording=seen, context=context, data=space.data - moved)
+    found, tried = look(there, ["zero_shift", "backlash"], "yaw")
+    assert [f.name for f in found] == [("nameless", None)]
+    best = best_of(tried, found[0])
+    assert (best.frame, best.covariates) == ("yaw", ("rest_yaw",))
+    assert stand_ins(context, best) == [("q_yaw", "how far from its setpoint it came to rest")]
+    assert not any("rest_" in name for k in nameless(space.context) for name in k.covariates)  # where encoders agree
+
+
 def test_what_a_crane_does_that_is_parked_most_of_the_time_is_unexplained_over_its_place(space: Workspace) -> None:
     """It passes twice, and its ranks hardly see where: jumps of a zero there and back otherwise."""
     count = len(space.recording)
