@@ -100,9 +100,10 @@ def search(space: Workspace, tried: Tried, rng: np.random.Generator, earlier: Co
 
 
 def _as_shadows(space: Workspace, tried: Tried, found: list[Found]) -> None:
-    """What was found before a louder one that casts it goes to that one: where a search began elsewhere how warm a link
-    had been was a jump of the next joint's zero (70 of log evidence beside growth, which says 9,687 alone), creep of
-    one link that of two (35 and 66, of 902; another author's 55058 and 55053)."""
+    """What was found before a louder one of the same effect, or before growth where it goes with time, and is the
+    shadow of that, goes to it: where a search began elsewhere how warm a link had been was a jump of the next joint's
+    zero (70 of log evidence beside growth, which says 9,687 alone), creep of one link that of two (35 and 66, of 902;
+    another author's 55058 and 55053)."""
 
     def said(f: Found, others: list[Found]) -> float:
         take_up(space, tried, others)
@@ -112,7 +113,9 @@ def _as_shadows(space: Workspace, tried: Tried, found: list[Found]) -> None:
         others = [g for g in found if g is not f]
         alone = [replace(g, first=said(g, [h for h in others if h is not g])) for g in others]
         beside = said(f, others)
-        caster = caster_of(tried, f.best, beside, alone)
+        late = tried.candidates[f.best].covariate == "time"
+        some = [g for g in alone if g.name[0] == f.name[0] or (late and g.name[0] == "thermal_growth")]
+        caster = caster_of(tried, f.best, beside, some)
         if caster is not None and beside < SHADOW * caster.first:
             g = others[alone.index(caster)]
             take_up(space, tried, [h for h in others if h is not g])

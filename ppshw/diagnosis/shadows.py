@@ -23,6 +23,7 @@ SAME_EFFECT = 0.5
 # What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
 # over hours shows as creep of a whole rail.
 SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1
+OF_HEAT_OR_LOAD = frozenset({"thermal_growth", "creep"})
 OF_THE_WAY = frozenset({*LOST_MOTION, "periodic_transmission"})  # what goes with a joint's own way or place alone
 ALIKE = 0.98  # cosine of what two ways to move do to the reflectors
 AT_ONCE = 0.02  # of the recording's duration: moments that are one
@@ -45,7 +46,7 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
             by_load = same_cause = False
         if candidate.joint != other.joint and candidate.frame != other.frame:  # elsewhere, over this joint's position
             same_joint = same_joint and _left_there(tried, other) >= SAME_EFFECT * evidence
-        if candidate.effect == "thermal_growth" and other.effect in OF_THE_WAY:  # which no temperature tells of
+        if candidate.effect in OF_HEAT_OR_LOAD and other.effect in OF_THE_WAY:  # which neither tells of
             same_joint = False
         if other.effect == "zero_shift":  # at once along the own way: nothing elsewhere but in time
             same_joint = same_joint and (same_place(candidate, other) or candidate.covariate == "time")
