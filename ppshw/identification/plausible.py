@@ -97,7 +97,8 @@ def refuse_frozen(machine: Machine, recording: Recording) -> None:
     if visits < MOVED_VISITS:
         return
     part = recording.subset(recording.measured)
-    still = float(np.nanmax(np.nanmax(part.points, axis=0) - np.nanmin(part.points, axis=0)))
+    read = part.points[:, part.seen.any(axis=0)]
+    still = float(np.max(np.nanmax(read, axis=0) - np.nanmin(read, axis=0)))
     moved = float(np.ptp(point_positions(machine, part.q, machine.target_array), axis=0).max())
     if still < FROZEN_M < MOVED_M < moved:
         raise RecordingError(
