@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,16 @@ def travel_of(space: Workspace) -> float:
 
 def moved_by(space: Workspace, column: Column, times: float) -> Workspace:
     """The same recording of a machine whose joint does this as well, so many repeatabilities rms at the reflectors."""
-    return replace(space, data=space.data + of_size(space, column.evaluate(space.context), times))
+    return having_read(space, space.data + of_size(space, column.evaluate(space.context), times))
+
+
+def having_read(space: Workspace, data: Array) -> Workspace:
+    """The same machine, visits and noise with other readings (N, 3T): what knows nothing of them is worked out once."""
+    _ = space.directions
+    other = copy(space)
+    other.data, other.y = data, other.whiten(data[..., None])[:, 0]
+    other.forget()
+    return other
 
 
 def of_size(space: Workspace, moved: Array, times: float) -> Array:

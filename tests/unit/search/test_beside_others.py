@@ -27,6 +27,7 @@ from tests.unit.search.by_hand import (
     NAME,
     best_of,
     creep_and_riddles,
+    having_read,
     look,
     moved_by,
     named,
@@ -333,7 +334,7 @@ def test_only_what_is_large_beside_the_noise_may_leave_what_looks_like_scatter(
     space: Workspace, size: float, large: bool
 ) -> None:
     some = [k for k in named(space, "backlash") if k.joint == NAME and len(k.columns) == 1][:1]
-    there = replace(space, data=space.data + of_size(space, some[0].columns[0].evaluate(space.context), size))
+    there = having_read(space, space.data + of_size(space, some[0].columns[0].evaluate(space.context), size))
     tried, found = Tried(there, some, 5e-5), [Found(0, ("backlash", NAME), 1e-9, 30.0, first=30.0)]
     take_up(there, tried, found)
     assert bool(_as_scatter(there, tried, found)) == large
@@ -350,7 +351,7 @@ def test_two_waves_of_nearly_one_period_are_one_effect_and_speak_together(space:
     some = [*waves, *named(space, "backlash"), riddle]
     both = sum(column.evaluate(space.context) for k in waves for column in k.columns[:1])
     slow = riddle.columns[0].evaluate(space.context)
-    there = replace(space, data=space.data + of_size(space, both, 1) + of_size(space, slow, 8))
+    there = having_read(space, space.data + of_size(space, both, 1) + of_size(space, slow, 8))
     tried = Tried(there, some, 5e-5)
     name = tried.name(0)
     found = [Found(j, tried.name(j), 0.0, 50.0, first=50.0) for j in (0, 1, len(some) - 1)]
@@ -773,7 +774,7 @@ def test_a_wave_of_teeth_that_give_way_under_their_load_leaves_nothing_beside_it
     weight = np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)
     moved = wave * (weight / weight.mean())[:, None]
     moved = of_size(space, moved, 10)
-    found, _ = look(replace(space, data=space.data + moved), ["periodic_transmission"], NAME)
+    found, _ = look(having_read(space, space.data + moved), ["periodic_transmission"], NAME)
     assert [f.name for f in found] == [("periodic_transmission", NAME)]
     assert sum(column.args.get("pressed") == -1 for column in found[0].near) == 2
 
@@ -788,7 +789,7 @@ def test_a_gear_that_wobbles_or_wears_along_its_travel_leaves_nothing_beside_its
     along = wave.evaluate(space.context) * space.context.u(k)[:, None]
     beside = of_size(space, other.evaluate(space.context) if across else along, 4)
     moved = of_size(space, wave.evaluate(space.context), 20) + beside
-    found, _ = look(replace(space, data=space.data + moved), ["periodic_transmission"], NAME)
+    found, _ = look(having_read(space, space.data + moved), ["periodic_transmission"], NAME)
     assert [f.name for f in found] == [("periodic_transmission", NAME)]
 
 
@@ -816,7 +817,7 @@ def test_play_in_every_drive_is_a_finding_of_each(space: Workspace) -> None:
     for k in range(len(names)):
         sign = Column("frame", "approach", {"joint": k}, k + 1, own_component(c, k))
         moved += of_size(space, sign.evaluate(c), 3.0)
-    found, tried = look(replace(space, data=space.data + moved), ["backlash"], NAME)
+    found, tried = look(having_read(space, space.data + moved), ["backlash"], NAME)
     assert sorted(f.name for f, _ in _each_once(tried, found)) == sorted(("backlash", name) for name in names)
 
 
@@ -834,7 +835,7 @@ def test_two_screws_in_one_drive_are_two_findings_and_a_mended_wave_is_one(
 def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size_of_both(space: Workspace) -> None:
     c = space.context
     ways = [of_size(space, Column("frame", "clock", {"form": "linear"}, 0, k).evaluate(c), 3.0) for k in (1, 5)]
-    there = replace(space, data=space.data + sum(ways))
+    there = having_read(space, space.data + sum(ways))
     some = [k for k in named(space, "drift") if not k.shape and k.component in ("ty", "rz") and len(k.columns) == 1]
     tried = Tried(there, some, 5e-5)
     found = [Found(k, tried.name(k), 0.0, 20.0, first=20.0) for k in range(2)]
@@ -852,7 +853,7 @@ def test_reflectors_are_where_the_file_has_them_as_well_as_anybody_measures_that
 ) -> None:
     """450 visits tell it to 1 µm: ones that were 10 µm off had moved, or made a scale (another author's 35000)."""
     shift = Column("points", "target_shift", {"target": 0, "axis": 0}).evaluate(space.context)
-    there = replace(space, data=space.data + off * shift)
+    there = having_read(space, space.data + off * shift)
     assert [f.name for f in look(there, ["target_moved", "tracker_scale"])[0]] == found
 
 
@@ -860,7 +861,7 @@ def test_two_reflectors_that_moved_are_two_findings(space: Workspace) -> None:
     shifts = [Column("points", "target_shift", {"target": t, "axis": t}) for t in (0, 1)]
     since = space.context.hours > np.median(space.context.hours)
     moved = sum(of_size(space, k.evaluate(space.context) * since[:, None], 4.0) for k in shifts)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["target_moved"], NAME)
     whose = {best_of(tried, f).covariate for f, _ in _each_once(tried, found)}
     assert {f.name for f in found} == {("target_moved", None)}
@@ -888,7 +889,7 @@ def test_a_base_that_wanders_and_turns_nearly_as_the_air_warms_is_no_growth(spac
     assert 0.8 < np.corrcoef(course, warm)[0, 1] ** 2 < 0.95
     twist = np.array([1e-4, -8e-5, 6e-5, 3e-5, -2e-5, 4e-5])
     moved = of_size(space, np.einsum("nrc,c,n->nr", space.context.jacobian[:, :, 0], twist, course), 6.0)
-    found, _ = look(replace(space, data=space.data + moved), ["drift", "thermal_growth"])
+    found, _ = look(having_read(space, space.data + moved), ["drift", "thermal_growth"])
     assert [f.name for f in found] == [("drift", None)]
 
 
@@ -923,7 +924,7 @@ def test_growth_says_which_other_thermometer_it_may_as_well_go_with(
     air, rail = (
         Column("frame", "temperature", {"place": place, "tau": 0.5}, k + 1, 1).evaluate(c) for place in ("air", "rail")
     )
-    there = replace(space, data=space.data + of_size(space, of_rail * rail + (1.0 - of_rail) * air, times))
+    there = having_read(space, space.data + of_size(space, of_rail * rail + (1.0 - of_rail) * air, times))
     found, tried = look(there, ["thermal_growth"], NAME)
     (growth,) = (f for f in found if f.name[0] == "thermal_growth")
     said = finding(there, tried, growth)

@@ -31,7 +31,7 @@ from ppshw.terms import Situation
 from ppshw.terms.shapes import Column
 from ppshw.terms.shapes.covariates import loads_came
 from tests.unit.clean_case import clean_case
-from tests.unit.search.by_hand import best_of, look, moved_by, named, of_size
+from tests.unit.search.by_hand import best_of, having_read, look, moved_by, named, of_size
 
 
 def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
@@ -40,7 +40,7 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     beyond = np.where(load > np.quantile(load, 0.45), load - np.quantile(load, 0.45), 0.0)
     moved = space.context.jacobian[:, :, frame, 3] * beyond[:, None]
     moved *= 5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    found, tried = look(having_read(space, space.data + moved), ["nonlinear_stiffness", "clearance"])
     assert [f.name[0] for f in found] == ["nonlinear_stiffness"]
     candidate = best_of(tried, found[0])
     said = numbers_of(space.context, candidate, np.array([1e-9]), np.diag(np.array([1e-10])))
@@ -77,7 +77,7 @@ def test_what_goes_on_across_a_load_has_rivals_without_a_name_too(space: Workspa
     joint = space.machine.joint_names.index("longitudinal")
     load = space.context.wrenches[:, joint + 1, 3] * (1.0 + 0.5 * space.context.u(joint))
     moved = space.context.jacobian[:, :, joint + 1, 4] * load[:, None]
-    there = replace(space, data=space.data + of_size(space, moved, 5.0))
+    there = having_read(space, space.data + of_size(space, moved, 5.0))
     found, _ = look(there, ["nonlinear_stiffness"], without=["missing_compliance"])
     assert {f.name for f in found} == {("nameless", None)}
 
@@ -89,7 +89,7 @@ def test_what_a_joint_does_across_its_load_makes_up_for_nothing_along_it(space: 
     load = space.context.wrenches[:, k, 5] / space.context.wrenches[:, k, 5].std()
     stiffens = np.where(load > 0, np.log1p(np.abs(load) / 0.3), -np.log1p(np.abs(load)))
     moved = space.context.jacobian[:, :, k] @ np.array([0.0, 0.0, 0.0, 0.5, -0.4, 1.0]) * stiffens[:, None]
-    there = replace(space, data=space.data + of_size(space, moved, 5.0))
+    there = having_read(space, space.data + of_size(space, moved, 5.0))
     found, _ = look(there, ["clearance"], without=["nonlinear_stiffness"])
     assert {f.name for f in found} == {("nameless", None)}
 
@@ -100,7 +100,7 @@ def test_a_gap_that_widens_along_a_travel_is_one_effect(space: Workspace) -> Non
     gap = next(k for k in named(space, "clearance") if (k.joint, k.component, k.covariate) == about)
     side = gap.columns[0].evaluate(space.context)
     moved = of_size(space, side * (1 + 0.7 * space.context.u(joint))[:, None], 10)
-    found, _ = look(replace(space, data=space.data + moved), ["clearance", "missing_compliance"], "yaw")
+    found, _ = look(having_read(space, space.data + moved), ["clearance", "missing_compliance"], "yaw")
     assert [f.name for f in found] == [("clearance", "yaw")]
 
 
@@ -232,7 +232,7 @@ def test_where_no_load_has_pushed_a_loose_joint_over_yet_it_may_lie_on_either_si
         sides.append(side)
     moved = space.context.jacobian[:, :, frame, 3] * np.array(sides)[:, None]
     moved *= 3.0 * space.unit / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["clearance", "nonlinear_stiffness"])
+    found, tried = look(having_read(space, space.data + moved), ["clearance", "nonlinear_stiffness"])
     assert [f.name[0] for f in found] == ["clearance"]
     assert tried.candidates[found[0].best].columns[0].args["start"] == -np.sign(load[0])
 
@@ -276,10 +276,10 @@ def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_cle
     moved = space.context.jacobian[:, :, frame, component] * used_up[:, None]
     moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     for way, name in ((1.0, "clearance"), (-1.0, "nonlinear_stiffness")):
-        found, _ = look(replace(space, data=space.data + way * moved), ["nonlinear_stiffness", "clearance"])
+        found, _ = look(having_read(space, space.data + way * moved), ["nonlinear_stiffness", "clearance"])
         assert [f.name[0] for f in found] == [name]
     for way, name in ((1.0, "clearance"), (-1.0, "nameless")):  # where stiffness has no name
-        found, _ = look(replace(space, data=space.data + way * moved), ["clearance"])
+        found, _ = look(having_read(space, space.data + way * moved), ["clearance"])
         assert [f.name[0] for f in found] == [name]
 
 
@@ -291,7 +291,7 @@ def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_
     fallen = np.clip((load - 0.1 * load.std()) / (0.55 * load.std()), -1.0, 1.0)
     moved = space.context.jacobian[:, :, frame, component] * fallen[:, None]
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["nonlinear_stiffness", "clearance"])
+    found, tried = look(having_read(space, space.data + moved), ["nonlinear_stiffness", "clearance"])
     assert [f.name for f in found] == [("clearance", "longitudinal")]
     best = best_of(tried, found[0]).columns[0].args
     assert best["hard"]
@@ -315,7 +315,7 @@ def test_a_joint_that_its_bodies_bend_otherwise_than_the_payload_says_by_which_s
     c, k = space.context, space.machine.joint_names.index("vertical") + 1
     bare = link_wrenches(space.machine, c.chain, np.zeros((len(c.recording), 6)))[:, k]
     bent = np.einsum("nia,nab,nb->ni", c.jacobian[:, :, k], c.compliance[:, k], bare)
-    there = replace(space, data=space.data + 4.0 * bent)
+    there = having_read(space, space.data + 4.0 * bent)
     found, tried = look(there, ["moving_weight", "missing_compliance"], "vertical")
     assert [f.name for f in found] == [("moving_weight", "vertical")]
     share = finding(there, tried, found[0])["parameters"]["own_weight_share"]
@@ -360,7 +360,7 @@ def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one
     late = (moments - followed(moments, c.hours, 0.3, moments[0])) * np.array([2.0, -1.0]) / moments.std(axis=0)
     moved = np.einsum("nrc,nc->nr", c.jacobian[:, :, k, [3, 5]], late)
     moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "moving_weight"])
+    found, tried = look(having_read(space, space.data + moved), ["creep", "drift", "moving_weight"])
     assert [f.name for f in found] == [("creep", "longitudinal")]
     assert found[0].weights["creep", "longitudinal"] > 0.9
     candidate = best_of(tried, found[0])
@@ -387,7 +387,7 @@ def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space:
     moment = c.wrenches[:, k, 3]
     moved = c.jacobian[:, :, k, 3] * (moment - followed(moment, c.hours, 0.4, 0.0))[:, None]
     moved *= 3e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["creep", "drift", "zero_shift"])
+    found, tried = look(having_read(space, space.data + moved), ["creep", "drift", "zero_shift"])
     assert [f.name[0] for f in found] == ["creep"]
     candidate = best_of(tried, found[0])
     assert [column.args["form"] for column in candidate.columns] == ["total", "began"]
@@ -401,7 +401,7 @@ def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_t
     by_one = Column("frames", "sensor_error", {"component": 4}).evaluate(c)
     moved = zeros[:, None] * by_one
     moved = of_size(space, moved, 3)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["wrench_error", "drift", "creep", "thermal_growth"])
     assert [f.name for f in found] == [("wrench_error", None)]
     best = best_of(tried, found[0])
@@ -418,7 +418,7 @@ def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_h
     read = replace(c, recording=replace(c.recording, wrench=c.recording.wrench * (air - air.mean())[:, None]))
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(read)
     moved = of_size(space, moved, 2)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["wrench_error", "tracker_scale", "drift", "creep"])
     assert [f.name for f in found] == [("wrench_error", None)]
     assert best_of(tried, found[0]).covariate == "temp_air_C"
@@ -434,7 +434,7 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     off = replace(c, recording=replace(c.recording, wrench=sided))
     moved = Column("frames", "sensor_error", {"component": -1}).evaluate(off)
     moved = of_size(space, moved, 3)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["wrench_error", "creep", "drift"])
     assert [f.name for f in found] == [("wrench_error", None)]
     assert best_of(tried, found[0]).covariate == "My"
@@ -447,7 +447,7 @@ def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(sp
     zeros = [Column("frames", "sensor_error", {"component": comp}).evaluate(space.context) for comp in range(6)]
     moved = np.einsum("knt,k->nt", np.array(zeros), off)
     moved *= 4e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["wrench_error", "missing_compliance"])
+    found, tried = look(having_read(space, space.data + moved), ["wrench_error", "missing_compliance"])
     assert [f.name[0] for f in found] == ["wrench_error"]
     said = numbers_of(space.context, best_of(tried, found[0]), np.ones(6), np.eye(6))
     assert {p["unit"] for name, p in said.items() if name.endswith("_zero")} == {"N", "N m"}
@@ -488,7 +488,7 @@ def test_a_link_that_creeps_by_the_weight_alone_is_creep_of_it(space: Workspace)
         before, after = max(came[k], c.hours[k - 1]) - c.hours[k - 1], c.hours[k] - max(came[k], c.hours[k - 1])
         late[k] = (late[k - 1] * np.exp(-before / 0.4) + weight[k] - weight[k - 1]) * np.exp(-after / 0.4)
     moved = of_size(space, -c.jacobian[:, :, joint + 1, 3] * late[:, None], 2)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["creep", "zero_shift", "drift", "wrench_error"], "pitch")
     assert [f.name for f in found] == [("creep", "pitch")]
     assert best_of(tried, found[0]).columns[0].args["component"] == -1
@@ -519,7 +519,7 @@ def test_a_link_that_is_softer_over_a_stretch_of_its_travel_lacks_a_compliance_t
     middle, width = float(np.quantile(q, 0.7)), 0.15 * float(np.ptp(q))
     loose = load / (1.0 + ((q - middle) / width) ** 4)
     moved = of_size(space, c.jacobian[:, :, joint + 1, 3] * loose[:, None], 1.5)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["missing_compliance", "cross_coupling", "moving_weight", "periodic_transmission"])
     assert [f.name for f in found] == [("missing_compliance", "longitudinal")]
     said = finding(there, tried, found[0])
@@ -543,7 +543,7 @@ def test_a_bearing_that_is_softer_one_way_of_its_housing_lacks_a_compliance_that
     way = np.einsum("nba,b->na", spin, soft)
     tilts = way * (way * c.wrenches[:, joint + 1, 3:]).sum(axis=1, keepdims=True)
     moved = of_size(space, np.einsum("nra,na->nr", c.jacobian[:, :, joint + 1, 3:], tilts), 12.0)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["missing_compliance", "cross_coupling"], "yaw")
     assert [f.name for f in found] == [("missing_compliance", "yaw")]
     assert best_of(tried, found[0]).columns[0].function == "bearing"
@@ -558,7 +558,7 @@ def test_a_floor_that_gives_way_to_the_machine_alone_is_a_moving_weight_of_the_b
     own = link_wrenches(machine, c.chain, np.zeros((len(recording), 6)))[:, 0]
     tilts = np.column_stack([own[:, 3], 0.6 * own[:, 4]])
     moved = of_size(space, np.einsum("nra,na->nr", c.jacobian[:, :, 0, 3:5], tilts - tilts.mean(axis=0)), 20.0)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["missing_compliance", "moving_weight"])
     assert [f.name for f in found] == [("moving_weight", None)]
     said = finding(there, tried, found[0])
@@ -576,7 +576,7 @@ def test_a_last_link_that_gives_way_in_several_directions_lacks_a_compliance(tmp
     c, frame = space.context, machine.n
     ways = [c.jacobian[:, :, frame, way] * c.wrenches[:, frame, :1] for way in (0, 3, 4, 5)]
     moved = of_size(space, sum(of_size(space, way, 1.0) for way in ways), 3.0)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["missing_compliance"])
     assert found[0].name == ("missing_compliance", last.name)
     assert best_of(tried, found[0]).component is None

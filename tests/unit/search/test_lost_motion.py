@@ -20,7 +20,7 @@ from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size, on_joint, travel_of
+from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_by, named, of_size, on_joint, travel_of
 
 
 def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
@@ -47,7 +47,7 @@ def test_a_gap_that_a_load_takes_up_is_play_and_says_by_how_much(space: Workspac
     held = np.abs(space.context.wrenches[:, k + 1, own])
     moved = on_joint(space, "approach").evaluate(space.context) / (1.0 + 2.0 * held / held.mean())[:, None]
     moved = of_size(space, moved, 4)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
     said = finding(there, tried, found[0])["parameters"]
@@ -93,7 +93,7 @@ def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) ->
     lag = on_joint(space, "slipping", width=width)
     moved = lag.evaluate(space.context) * (weight / weight.mean())[:, None]  # Coulomb's, by hand
     moved = of_size(space, moved, 4)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     said = finding(there, tried, found[0])["parameters"]
@@ -110,7 +110,7 @@ def test_friction_that_a_moment_presses_together_one_way_and_lifts_off_the_other
     moment = space.context.wrenches[:, k + 1, by]
     size = 0.55 + 0.45 * np.tanh((moment - moment.mean()) / moment.std())
     moved = of_size(space, on_joint(space, "winding", way=way).evaluate(space.context) * size[:, None], 4)
-    there = replace(space, data=space.data - moved)
+    there = having_read(space, space.data - moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("friction_hysteresis", NAME)]
     said = finding(there, tried, found[0])
@@ -176,7 +176,7 @@ def test_friction_that_lets_go_in_a_joint_that_rests_is_no_play(space: Workspace
             z = np.sign(step) * (1.0 - (1.0 - np.sign(step) * z) / (1.0 + abs(step) / (0.06 * np.ptp(q))) ** 2)
         lag.append(z)
     moved = of_size(space, c.moved(k + 1, own_component(c, k)) * np.array(lag)[:, None], 4)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
     (friction,) = (f for f in found if f.name[0] != "nameless")
     assert friction.name == ("friction_hysteresis", NAME)
@@ -265,7 +265,7 @@ def test_what_is_taken_up_over_a_very_small_part_of_the_travel_may_be_play(
 def test_what_a_joint_loses_is_known_from_an_earlier_look(space: Workspace) -> None:
     sign = on_joint(space, "approach")
     half = 3.0 * space.unit / np.sqrt((sign.evaluate(space.context) ** 2).sum() / space.recording.seen.sum())
-    there = replace(space, data=space.data + half * sign.evaluate(space.context))
+    there = having_read(space, space.data + half * sign.evaluate(space.context))
     found, tried = look(there, ["backlash"], NAME)
     assert _lost(there, tried, found) == {NAME: pytest.approx(2 * half, rel=0.15)}
 

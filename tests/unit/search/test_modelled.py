@@ -15,7 +15,7 @@ from ppshw.diagnosis.found import Found, by_its_own_form, take_up
 from ppshw.diagnosis.modelled import _theta, extended
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.evaluation import residuals
-from tests.unit.search.by_hand import named, of_size
+from tests.unit.search.by_hand import having_read, named, of_size
 
 
 def test_a_wave_s_amplitude_is_its_own_where_it_has_harmonics(space: Workspace) -> None:
@@ -26,7 +26,7 @@ def test_a_wave_s_amplitude_is_its_own_where_it_has_harmonics(space: Workspace) 
     alike, (sine, cosine) = space.as_learnt(), candidate.columns
     twice = replace(sine, args={**sine.args, "period": sine.args["period"] / 2})
     moved = 1e-3 * sine.evaluate(space.context) + 4e-4 * twice.evaluate(space.context)
-    there = replace(alike, data=alike.data + moved)
+    there = having_read(alike, alike.data + moved)
     tried = Tried(there, [candidate], 5e-5)
     found = Found(0, (candidate.effect, candidate.joint), 1e-9, 50.0)
     take_up(there, tried, [found])
@@ -52,7 +52,7 @@ def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
     candidate, moved = candidates[best], fields[best]
     column = of_size(alike, moved, 1.0)
     unit = float(np.linalg.norm(column) / np.linalg.norm(moved))
-    model = replace(alike, data=alike.data + 2 * column)
+    model = having_read(alike, alike.data + 2 * column)
     model.take_up(moved[..., None], np.array([unit]))
     made = extended(model, [(Found(0, ("clearance", name), 1e-9, 50.0, size=5e-5), candidate)])
     path = tmp_path_factory.mktemp("calibration") / "with_clearance.json"

@@ -22,7 +22,7 @@ from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 from tests.unit.clean_case import clean_case
-from tests.unit.search.by_hand import NAME, best_of, look, moved_by, named, of_size
+from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_by, named, of_size
 
 
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
@@ -30,7 +30,7 @@ def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(
     air, q = space.recording.temperatures["air"], space.recording.q[:, other]
     moved = space.context.jacobian[:, :, k + 1, 0] * ((air - air.mean()) * (q - q.mean()))[:, None]
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["thermal_growth", "wrench_error", "tracker_scale"])
+    found, tried = look(having_read(space, space.data + moved), ["thermal_growth", "wrench_error", "tracker_scale"])
     assert {f.name for f in found} == {("nameless", None)}
     assert set(best_of(tried, found[0]).covariates) >= {"q_yaw"}
 
@@ -75,7 +75,7 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
     dent = np.exp(-0.5 * ((u - about) / width) ** 2) - 0.7 * np.exp(-0.5 * ((u - about - 2.5 * width) / width) ** 2)
     moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * dent[:, None]
     moved *= size / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
@@ -90,7 +90,7 @@ def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     q = space.recording.q[:, joint]
     u = (q - q.mean()) / (0.5 * np.ptp(q))
     moved = space.context.jacobian[:, :, joint + 1, component] * np.tanh((u - at) / 0.004)[:, None]
-    there = replace(space, data=space.data + of_size(space, moved, 2.0))
+    there = having_read(space, space.data + of_size(space, moved, 2.0))
     found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
     assert [f.name for f in found] == [("nameless", None)]
     best = best_of(tried, found[0])
@@ -104,7 +104,7 @@ def test_a_rail_that_sags_between_its_posts_goes_by_its_load_and_its_position(sp
     carried = space.context.wrenches[:, joint + 1, 1]
     sags = (carried - carried.max()) * np.sin(4 * np.pi * (q - q.min()) / np.ptp(q)) ** 2
     moved = of_size(space, space.context.jacobian[:, :, joint + 1, 1] * sags[:, None], 1.5)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["nonlinear_stiffness", "periodic_transmission", "cross_coupling"], "lateral")
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == ("on_lateral_Fy", "q_lateral")
@@ -129,7 +129,7 @@ def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Wo
     tooth = np.abs((q / period) % 1.0 - 0.2)
     moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * tooth[:, None]
     moved *= 1e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["cross_coupling", "moving_weight"])
+    found, tried = look(having_read(space, space.data + moved), ["cross_coupling", "moving_weight"])
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == (f"q_{NAME}",)
 
@@ -166,7 +166,7 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     ways = np.random.default_rng(3).normal(size=(c.points.shape[1], 3))
     moved = np.einsum("nij,tj,n->nti", c.tips[:, :3, :3], ways, read).reshape(len(read), -1)
     moved = of_size(space, moved, 2)
-    found, tried = look(replace(space, data=space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
+    found, tried = look(having_read(space, space.data + moved), ["target_moved", "wrench_error", "tracker_scale"])
     assert [f.name[0] for f in found] == ["nameless"]
     assert best_of(tried, found[0]).covariates == (load,)
 
@@ -179,7 +179,7 @@ def test_a_reflector_whose_mount_gives_way_as_it_is_turned_over_is_said_of_it(tm
     down = np.einsum("nij,i->nj", c.tips[:, :3, :3], np.asarray(space.machine.gravity) / 9.80665)
     moved = np.zeros_like(c.points)
     moved[:, 1] = np.einsum("nij,jk,nk->ni", c.tips[:, :3, :3], np.diag([1.0, 0.8, 0.1]), down)
-    there = replace(space, data=space.data + of_size(space, moved.reshape(len(down), -1), 2.0))
+    there = having_read(space, space.data + of_size(space, moved.reshape(len(down), -1), 2.0))
     tried = Tried(there, [k for k in library(c) if k.effect in ("moving_weight", "target_moved")] + nameless(c), 5e-5)
     found = search(there, tried, np.random.default_rng(0))
     assert {f.name[0] for f in found} == {"nameless"}
@@ -197,7 +197,7 @@ def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_
     moved = (np.sin(31.5 * around + 0.4)[..., None] * level).reshape(len(rays), -1)
     moved = of_size(space, moved, 2)
     some = named(space, "nameless", "drift", "tracker_scale")
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     tried = Tried(there, some, 5e-5)
     found = search(there, tried, np.random.default_rng(0))
     assert [f.name[0] for f in found] == ["nameless"]
@@ -215,7 +215,7 @@ def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace)
     moved = of_size(space, moved, 2)
     some = [j for j in named(space, "nameless") if any(name.startswith("stay_") for name in j.covariates)]
     assert {name for j in some for name in j.covariates} >= {"stay_pitch", "stay_roll", "stay_lateral"}
-    tried = Tried(replace(space, data=space.data + moved), some, 5e-5)
+    tried = Tried(having_read(space, space.data + moved), some, 5e-5)
     best = some[int(np.argmax(tried.evidence(tried.scores()[None])[0]))]
     assert (best.covariates, best.frame, best.component) == (("stay_pitch",), "pitch", "ry")
 
@@ -226,7 +226,7 @@ def test_what_seats_anew_with_every_load_is_no_sensor_that_is_tared_anew(space: 
     assert stays.max() + 1 == len([*itertools.groupby(space.recording.load)])
     turned = np.random.default_rng(5).normal(size=(stays.max() + 1, 3))[stays]
     moved = np.einsum("nic,nc->ni", space.context.jacobian[:, :, space.machine.n, 3:], turned)
-    there = replace(space, data=space.data + of_size(space, moved, 3))
+    there = having_read(space, space.data + of_size(space, moved, 3))
     found, tried = look(there, ["wrench_error", "drift", "creep", "zero_shift"])
     assert {f.name for f in found} == {("nameless", None)}
     best = best_of(tried, found[0])
@@ -240,7 +240,7 @@ def test_a_compressor_that_starts_every_few_visits_is_found_and_its_period_said(
     on = np.sign(np.sin(2 * np.pi * 60 * space.context.hours / minutes + 0.4))
     moved = (space.context.jacobian[:, :, 0, :3] @ np.array([0.5, 1.0, -0.3])) * on[:, None]
     moved = of_size(space, moved, 1)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["drift", "creep"], "time")
     assert [f.name[0] for f in found] == ["nameless"]
     ((column, said),) = stand_ins(space.context, best_of(tried, found[0]))
@@ -267,7 +267,7 @@ def test_a_guide_that_wears_where_it_is_used_does_not_grow_with_a_temperature(sp
     at = (c.recording.q[:, k] - c.recording.q[:, k].min()) / np.ptp(c.recording.q[:, k])
     moved = c.jacobian[:, :, k + 1, 4] * (c.hours / c.hours[-1] * np.cos(5.0 * at + 0.7))[:, None]
     moved *= 1.5e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    found, tried = look(replace(space, data=space.data + moved), ["thermal_growth", "drift"], "longitudinal")
+    found, tried = look(having_read(space, space.data + moved), ["thermal_growth", "drift"], "longitudinal")
     assert {f.name[0] for f in found} == {"nameless"}
     over = [set(best_of(tried, f).covariates) for f in found]
     assert {"q_longitudinal", "time"} in over
@@ -281,7 +281,7 @@ def test_a_link_that_softens_as_a_whole_as_it_warms_is_no_creep_growth_or_sensor
     moved = np.einsum("nia,na->ni", c.jacobian[:, :, k], bent)
     moved *= 2e-4 / np.sqrt((moved**2).sum() / space.recording.seen.sum())
     some = ["thermal_growth", "wrench_error", "creep"]
-    found, tried = look(replace(space, data=space.data + moved), some, "longitudinal")
+    found, tried = look(having_read(space, space.data + moved), some, "longitudinal")
     assert [f.name[0] for f in found] == ["nameless"]
     assert best_of(tried, found[0]).columns[0].function == "softened"
     (_, where), (warm, _) = stand_ins(c, best_of(tried, found[0]))
@@ -294,7 +294,7 @@ def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_cran
         size * Column("frame", "covariate", {"name": "cov_humidity"}, 0, comp).evaluate(space.context)
         for comp, size in ((0, 2e-5), (2, -4e-5), (3, 1.5e-5), (4, 2e-5), (5, -1e-5))
     )
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["zero_shift", "drift", "thermal_growth"], "cov_humidity")
     assert [f.name for f in found] == [("nameless", None)]
     best = best_of(tried, found[0])
@@ -369,7 +369,7 @@ def test_nothing_goes_with_what_a_force_sensor_reads_that_never_bore_anything(
 
 def test_a_scale_that_follows_the_air_late_is_the_scale_and_says_how_late(space: Workspace) -> None:
     late = Column("points", "scale", {"place": "air", "tau": 1.0})
-    there = replace(space, data=space.data + 6e-5 * late.evaluate(space.context))
+    there = having_read(space, space.data + 6e-5 * late.evaluate(space.context))
     found, tried = look(there, ["tracker_scale", "thermal_growth"], "temp_air_C")
     assert [f.name for f in found] == [("tracker_scale", None)]
     said = finding(there, tried, found[0])["parameters"]
@@ -382,7 +382,7 @@ def test_a_late_scale_of_an_instrument_that_stands_elsewhere_is_the_scale(space:
     c, args = space.context, {"place": "air", "tau": 1.0}
     shifts = Column("frame", "temperature", args, 0, 0).evaluate(c)
     moved = 6e-5 * (Column("points", "scale", args).evaluate(c) - 3.0 * shifts)
-    there = replace(space, data=space.data + moved)
+    there = having_read(space, space.data + moved)
     found, tried = look(there, ["tracker_scale", "drift", "thermal_growth"])
     assert [f.name for f in found] == [("tracker_scale", None)]
     said = finding(there, tried, found[0])["parameters"]
@@ -400,7 +400,7 @@ def test_a_scale_that_follows_a_pressure_is_the_scale_or_without_that_name_unexp
     values = space.recording.covariates["pressure"]
     rays = c.points - c.measuring_in_base[:3, 3] - np.array([elsewhere, 0.0, 0.0])
     moved = 5e-5 * rays * (values - values.mean())[:, None, None] / values.std()
-    there = replace(space, data=space.data + moved.reshape(space.data.shape))
+    there = having_read(space, space.data + moved.reshape(space.data.shape))
     found, tried = look(there, ["tracker_scale", "drift"] if known else ["drift"], name)
     assert [f.name for f in found] == [("tracker_scale" if known else "nameless", None)]
     if known:
@@ -421,7 +421,7 @@ def test_what_shifts_with_the_air_is_a_scale_only_where_distances_grow_too(
     shifts = [Column("frame", "temperature", {"place": "air", "tau": 0.0}, 0, k).evaluate(c) for k in (1, 2)]
     moved = 3.0 * of_size(space, shifts[0] - 0.7 * shifts[1], 1.0)
     moved += scale * Column("points", "scale", {"place": "air"}).evaluate(c)
-    found, _ = look(replace(space, data=space.data + moved), ["tracker_scale"], "temp_air_C")
+    found, _ = look(having_read(space, space.data + moved), ["tracker_scale"], "temp_air_C")
     assert (("tracker_scale", None) in [f.name for f in found]) == is_one
     assert found
 
@@ -434,7 +434,7 @@ def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jum
         jumps = Jumps("longitudinal", moments)
         does = [column.evaluate(space.context) for column in shifts_of_zero(space.context, k, jumps)]
         field = of_size(space, np.tensordot(moved, np.array(does), 1), 2.0)
-        there = replace(space, data=space.data + field)
+        there = having_read(space, space.data + field)
         drifts = [c for c in library(there.context, moments=moments) if c.effect == "drift"]
         tried = Tried(there, [*drifts, *nameless(there.context, [jumps] if len(moments) > 1 else [])], 5e-5)
         found = search(there, tried, np.random.default_rng(0))
