@@ -32,9 +32,9 @@ MOST_NAMES = 5  # that are told besides
 SOFT, BRIEF = 8.0, 0.012
 # How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
 MAY_BE = {"backlash": 0.7, "drift": 0.45, "clearance": 0.7, "nonlinear_stiffness": 0.7}
-# Relative to the load's spread, widths over which what falls little by little is a joint that falls or one that gives
-# way softly at first: of five such of two authors three were the one and two the other, at 0.29, 0.47 and 0.50, and at
-# 0.30 and 0.36.
+# Relative to the load's spread, widths over which what falls little by little, with its load, is a joint that falls or
+# one that gives way softly at first, about where the library draws the line (0.3 and 0.6): of two other authors' one
+# was a fall, at 0.29, and one stiffness, at 0.30.
 EITHER = (0.25, 0.65)
 # Where another's bare form says more, what all near forms say is little to go by: of two reflectors one that was moved
 # was a scale with 0.95, which the other's form said as well (another author's 31029).
@@ -137,7 +137,7 @@ def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
         return ("drift", None) if ("drift", None) in tried.names else None
     if candidate.effect in OF_A_LOAD:
         first, sibling = candidate.columns[0], (next(iter(OF_A_LOAD - {candidate.effect})), candidate.joint)
-        softly = first.function == "load_side" and not first.args.get("hard")
+        softly = first.function == "load_side" and not first.args.get("hard") and candidate.way >= 0
         either = softly and EITHER[0] <= first.args["width"] <= EITHER[1]
         return sibling if either and sibling in tried.names else None
     play = ("backlash", candidate.joint)
