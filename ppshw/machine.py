@@ -28,10 +28,10 @@ BentBy = Literal["own", "beyond", "payload"]
 # A maker's repeatability is taken as the 98.6 % radius of a round normal scatter in three directions: 3.27 sigma.
 RADIUS_986 = 3.27
 STRONGEST = 20.0  # m/s² of gravity: twice the Earth's is no machine's, but millimetres
+SAME_PLACE_M = 1e-3  # of two reflectors, which have half an inch across
 AXIS_ROUNDED = 1e-3  # an axis may be written with three decimals
 # What stands in a machine file beyond these was meant in other units: ours. Turns of a joint; lengths and scatter [m];
 # gravity [m/s²]; how far a body's centre is from its frame, if that is beyond the machine's reach [m]; masses.
-SAME_PLACE_M = 1e-3  # of two reflectors, which have half an inch across
 MOST_TURNS, MOST_LONG, COARSE_M = 6.0, 100.0, 5e-3
 EARTH_G, LEAST_FAR_M, HEAVY_KG = (9.5, 10.1), 5.0, 1e5
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

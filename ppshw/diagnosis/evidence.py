@@ -195,9 +195,8 @@ class Tried:
         if new := list({c.key: c for c in columns if c.key not in self._values}.values()):
             raw = [c.evaluate(self.space.context) for c in new]
             white = self.space.whiten(np.stack(raw, axis=2))
-            beyond = np.ascontiguousarray(self.space.absorb(white).T)
-            for column, *of_it in zip(new, raw, np.ascontiguousarray(white.T), beyond, strict=True):
-                self._values[column.key] = (of_it[0], of_it[1], of_it[2])
+            rows = (np.ascontiguousarray(each.T) for each in (white, self.space.absorb(white)))
+            self._values.update(zip((c.key for c in new), zip(raw, *rows, strict=True), strict=True))
         return [self._values[c.key] for c in columns]
 
     # --- evidence ------------------------------------------------------------------------------------------------

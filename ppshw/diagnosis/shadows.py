@@ -96,10 +96,9 @@ def at_once(tried: Tried, one: Candidate, other: Candidate) -> bool:
 def acts_alike(tried: Tried, one: Candidate, other: Candidate) -> bool:
     """Whether both move the reflectors alike, in one component of a frame each: a link that bends about the axis of
     the next joint is as that joint's zero."""
-    if "link_growth" in {column.function for k in (one, other) for column in k.columns}:
-        return False
-    ways = [{(column.frame, column.component) for column in k.columns if column.on == "frame"} for k in (one, other)]
-    if any(len(way) != 1 for way in ways):
+    columns = (*one.columns, *other.columns)
+    ways = [{(column.frame, column.component) for column in k.columns} for k in (one, other)]
+    if any(column.on != "frame" for column in columns) or any(len(way) != 1 for way in ways):
         return False
     a, b = (tried.space.context.moved(*next(iter(way))) for way in ways)
     return abs(float((a * b).sum())) > ALIKE * float(np.linalg.norm(a) * np.linalg.norm(b))

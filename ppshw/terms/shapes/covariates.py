@@ -36,8 +36,7 @@ def named_column(c: Context, name: str) -> Array:
     frame), azimuth, elevation and distance (of the reflectors from the instrument, the first from its mean), incidence
     (of the beam along that axis of the end effector where it changes most), pause (since the visit before, h), load and
     former_load (mass of this payload and of the one before, kg), mounting (how often the load was changed until then),
-    previous_<column> (at the visit before),
-    late_<hours>_<column> (first-order lag)."""
+    previous_<column> (at the visit before), late_<hours>_<column> (first-order lag)."""
     r, joints = c.recording, c.machine.joint_names
     if name.startswith("q_"):
         return np.asarray(r.q[:, joints.index(name[2:])])
