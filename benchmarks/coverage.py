@@ -5,6 +5,7 @@
 One simulated machine per seed, random campaigns, 110 other random visits each. Every coordinate counts by itself.
 *prediction*: where the treatment point is without the arrival's random part, against the parameters' covariance alone.
 *reading*: what the tracker measures of the targets, against parameters, pose noise and instrument together.
+*compliance*: elements of compliances that are the same over the travel, each against its printed standard deviation.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from ppshw.terms import Situation
+from ppshw.terms.basis import Constant
+from ppshw.terms.elastic import Compliance
 from simulators.offline import simulate_recording_csv
 from simulators.plant import Plant
 
@@ -32,8 +35,9 @@ SHARE = 0.95
 UNSEEN = 110
 
 
-def coverage(file: Path, seed: int, visits: int, folder: Path) -> tuple[float, float, float]:
-    """Share of predictions and of readings within their interval, and the noise's log score per reading coordinate."""
+def coverage(file: Path, seed: int, visits: int, folder: Path) -> tuple[float, float, float, float]:
+    """Share of predictions, of readings and of elements of compliances within their interval, and the noise's log score
+    per reading coordinate."""
     machine, plant = load_machine(file), Plant.from_file(file, seed=seed)
     train, test = folder / "train.csv", folder / "test.csv"
     point = next(iter(plant.points))
@@ -44,7 +48,23 @@ def coverage(file: Path, seed: int, visits: int, folder: Path) -> tuple[float, f
     found = estimate(joint_model(machine, known), known)
     true = plant.true_points(unseen.q, unseen.wrench, names=[point])[point]
     inside, score = readings(found, unseen)
-    return predictions(found, machine, unseen, plant.points[point], true), inside, score
+    return predictions(found, machine, unseen, plant.points[point], true), inside, elements(found, plant), score
+
+
+def elements(found: Estimate, plant: Plant) -> float:
+    """Of the compliances that do not vary; NaN where all do."""
+    more = 0.0 if found.alone is None else found.alone
+    std, at, inside = np.sqrt(np.diag(found.covariance) + more), 0, []
+    for term in found.model.terms:
+        size = len(term.parameters(found.model.machine.frame_names))
+        if isinstance(term, Compliance) and isinstance(term.basis, Constant):
+            joint, spring = plant.chain.joints[term.frame - 1], plant.truth.springs[term.frame - 1]
+            assert spring is not None
+            true = spring.compliance(np.zeros(1))[0] * joint.acts
+            off = [found.theta[at + k] - true[row, load] for k, (row, load) in enumerate(term.elements)]
+            inside.extend(np.abs(off) < norm.ppf(0.5 + SHARE / 2) * std[at : at + size])
+        at += size
+    return float(np.mean(inside)) if inside else np.nan
 
 
 def predictions(found: Estimate, machine: Machine, unseen: Recording, point: Array, true: Array) -> float:
@@ -85,14 +105,22 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for visits in sizes:
             found = np.array([coverage(given.machine, seed, visits, Path(folder)) for seed in range(seeds)]) * 100
-            prediction, reading, _ = found.T
-            rows.append([
-                str(visits), number(prediction.mean()), f"{prediction.min():.0f} … {prediction.max():.0f}",
-                number(reading.mean()), f"{reading.min():.0f} … {reading.max():.0f}", f"{found[:, 2].mean() / 100:.3f}",
-            ])  # fmt: skip
+            prediction, reading, element, score = found.T
+            shares = [each for share in (prediction, reading, element)
+                      for each in (number(share.mean()), f"{share.min():.0f} … {share.max():.0f}")]  # fmt: skip
+            rows.append([str(visits), *shares, f"{score.mean() / 100:.3f}"])
     command = " ".join(["python -m benchmarks.coverage", *sys.argv[1:]])
     print(f"`{command}`, {given.machine.name}, {seeds} machines: % within 95 %; bar 93 … 97")
-    header = ["visits", "predictions", "least … most", "readings", "least … most", "log score"]
+    header = [
+        "visits",
+        "predictions",
+        "least … most",
+        "readings",
+        "least … most",
+        "compliances",
+        "least … most",
+        "log score",
+    ]
     print("\n" + table(header, rows))
 
 

@@ -74,6 +74,7 @@ class Calibration:
     effects, reference  what a diagnosis found beyond model (17), and the figures its functions refer to
     laid                (p,) parameters that these functions were made with: what creeps is what links gave way by then,
                         whatever they are found to give way by beside it; None: as `theta`
+    alone               (p,) what the variance of a single parameter is more than by `covariance`; None: nothing
     strengths           prior standard deviation of every group of parameters, as learnt; empty where none was
     ambiguous           what the recording does not tell apart, as `ambiguity.Ambiguity.as_dict` says it
     temperature_range   place → least and greatest seen; what has no reading there is not listed   [°C]
@@ -96,6 +97,12 @@ class Calibration:
     visits: Recording | None = None
     temperature_range: dict[str, tuple[float, float]] = field(default_factory=dict)
     laid: Array | None = None
+    alone: Array | None = None
+
+    @property
+    def std(self) -> Array:
+        """(p,) standard deviation of every parameter by itself, as the file states it."""
+        return np.asarray(np.sqrt(np.diag(self.covariance) + (0.0 if self.alone is None else self.alone)))
 
     @property
     def laid_at(self) -> Array:
@@ -274,6 +281,7 @@ class Calibration:
             strengths=dict(estimate.groups),
             temperature_range={place: (float(np.nanmin(t)), float(np.nanmax(t)))
                                for place, t in used.temperatures.items() if np.isfinite(t).any()},
+            alone=estimate.alone,
         )  # fmt: skip
 
     def save(self, path: Path | str) -> None:
@@ -289,7 +297,7 @@ class Calibration:
         write_text(path, json.dumps(content, indent=1), CalibrationError)
 
     def _as_dict(self) -> dict[str, Any]:
-        machine, std = self.machine, np.sqrt(np.diag(self.covariance))
+        machine, std = self.machine, self.std
         terms: list[dict[str, Any]] = []
         at = 0
         everything: list[FrameTerm | TargetOffset] = [*self.model.terms]
@@ -379,6 +387,8 @@ def _unfit(found: Calibration) -> str:
                   "strengths": np.array(list(found.strengths.values())),
                   "noise.instrument": np.array(found.noise.instrument),
                   "targets": found.machine.target_array}  # fmt: skip
+    if found.alone is not None:
+        everything["terms' std"] = found.alone
     if found.laid is not None:
         everything["laid"] = found.laid
     if found.noise.instrument <= 0:
@@ -412,8 +422,10 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
     terms: list[FrameTerm] = []
     target_offset = None
     values: list[float] = []
+    stated: list[float] = []
     for item in data["terms"]:
         values += [float(p["value"]) for p in item["parameters"]]
+        stated += [float(p["std"]) for p in item["parameters"]]
         if item["kind"] == "geometric":
             terms.append(Geometric.from_dict(item))
         elif item["kind"] == "compliance":
@@ -448,6 +460,7 @@ def _from_dict(data: dict[str, Any], machine: Machine) -> Calibration:
         _visits(data, machine),
         {str(p): (float(low), float(high)) for p, (low, high) in data["valid"].get("temperatures", {}).items()},
         laid,
+        np.maximum(np.array(stated) ** 2 - np.diag(covariance), 0.0),
     )
 
 

@@ -249,7 +249,8 @@ def _about_reflectors(base: Estimate) -> Estimate:
     covariance = block_diag(base.covariance, KNOWN_TO[0] ** 2 * np.eye(len(more)))
     groups = {**base.groups, **{p.group: KNOWN_TO[0] for p in more}}
     theta, model = np.append(base.theta, np.zeros(len(more))), replace(base.model, target_offset=offset)
-    return replace(base, model=model, theta=theta, covariance=covariance, groups=groups)
+    alone = None if base.alone is None else np.append(base.alone, np.zeros(len(more)))
+    return replace(base, model=model, theta=theta, covariance=covariance, groups=groups, alone=alone)
 
 
 def _reflectors_learnt(space: Workspace) -> Workspace:

@@ -11,7 +11,7 @@ it passes twice, block by block, so that memory does not grow with their number.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from ppshw.identification.judgement import Judgement, level
 from ppshw.identification.noise import Noise, pose_rank
 from ppshw.identification.noise_fit import Form
 from ppshw.identification.start import align, fold, to_base
-from ppshw.identification.strengths import Groups, Posterior, learn, silent
+from ppshw.identification.strengths import Groups, Posterior, alone, learn, silent
 from ppshw.identification.visits import Linearisation
 from ppshw.model import Model
 from ppshw.recording import Recording
@@ -59,6 +59,8 @@ class Estimate:
     noise               pose repeatability and instrument noise
     measuring_in_base   (4, 4) where the measuring frame stands
     weights             (N,) 1 for a visit that was believed, less for an outlier
+    alone               (p,) what the variance of a single parameter is more than by `covariance`, which is for what
+                        parameters do together; None for nothing   (5.7)
     """
 
     model: Model
@@ -68,6 +70,7 @@ class Estimate:
     noise: Noise
     measuring_in_base: Array
     weights: Array
+    alone: Array | None = field(default=None, kw_only=True)
 
 
 @dataclass
@@ -79,6 +82,16 @@ class _State:
     weights: Array  # of the visits learnt from, at last of all
     frame: Array
     active: Mask  # per parameter
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The last normal equations, over the parameters `kept` (p,), and what they say."""
+
+    gram: Array
+    moment: Array
+    kept: Mask
+    posterior: Posterior
 
 
 @dataclass(frozen=True)
@@ -121,17 +134,17 @@ def estimate(
     which = np.arange(count) if count <= LEARNT_FROM else np.linspace(0, count - 1, LEARNT_FROM).astype(int)
     task = _Task(model, recording, groups, which)
     state = _first_state(task, frame)
-    posterior, kept = _search(task, state, rounds, progress)
+    solved = _search(task, state, rounds, progress)
     if count > len(which):
-        posterior, kept = _everything(task, state, kept)
+        solved = _everything(task, state, solved.kept)
     if model.machine.tracker.base is None:
         state.theta, state.frame = _fold_base(model, state.theta, state.frame)
     if progress:
         progress(rounds, rounds)
-    return _answer(task, state, posterior, kept, used)
+    return _answer(task, state, solved, used)
 
 
-def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) -> tuple[Posterior, Mask]:
+def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) -> _Solved:
     """Strengths, noise, outliers and θ₀, in turn until nothing moves; `state` holds them."""
     groups, first = task.groups, lines(task.model)
     seen = task.recording.seen[task.which]
@@ -167,10 +180,10 @@ def _search(task: _Task, state: _State, rounds: int, progress: Progress | None) 
             state.theta = np.where(state.active, state.theta, 0.0)
         if judged.far > FAR and turn < rounds - 1:
             linear = task.linearised(state)
-    return posterior, kept
+    return _Solved(gram, moment, kept, posterior)
 
 
-def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask]:
+def _everything(task: _Task, state: _State, kept: Mask) -> _Solved:
     """What was learnt from some visits, applied to all of them: whom to believe, then one solution."""
     everyone = np.arange(len(task.recording))
     linear = task.linearised(state, everyone)
@@ -183,7 +196,7 @@ def _everything(task: _Task, state: _State, kept: Mask) -> tuple[Posterior, Mask
     state.variances, posterior = learn(gram, moment, task.groups, kept, state.variances, STRENGTH_STEPS)
     state.theta = np.zeros(len(kept))
     state.theta[kept] = posterior.theta
-    return posterior, kept
+    return _Solved(gram, moment, kept, posterior)
 
 
 def lines(model: Model) -> Mask:
@@ -203,15 +216,16 @@ def believable(weights: Array) -> Index:
     return np.flatnonzero(weights > SET_ASIDE)
 
 
-def _answer(task: _Task, state: _State, posterior: Posterior, kept: Mask, used: Mask) -> Estimate:
-    """`posterior` is that of the parameters `kept`; the rest keep their prior."""
-    groups = task.groups
+def _answer(task: _Task, state: _State, solved: _Solved, used: Mask) -> Estimate:
+    """Parameters that were left out keep their prior."""
+    groups, kept = task.groups, solved.kept
     covariance = np.diag(groups.scale**2 * state.variances[groups.of])
-    covariance[np.ix_(kept, kept)] = posterior.covariance(groups, kept)
+    covariance[np.ix_(kept, kept)] = solved.posterior.covariance(groups, kept)
+    more = alone(solved.gram, solved.moment, groups, kept, state.variances, covariance, state.theta)
     weights = np.zeros(len(used))
     weights[used] = state.weights
     strengths = dict(zip(groups.names, np.sqrt(state.variances).tolist(), strict=True))
-    return Estimate(task.model, state.theta, covariance, strengths, state.noise, state.frame, weights)
+    return Estimate(task.model, state.theta, covariance, strengths, state.noise, state.frame, weights, alone=more)
 
 
 def _start(model: Model, recording: Recording) -> tuple[Model, Array]:

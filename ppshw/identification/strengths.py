@@ -68,6 +68,12 @@ class Groups:
         )  # fmt: skip
 
     @property
+    def of_compliances(self) -> Mask:
+        """(p,) elements of compliances' means over the travel, each a group by itself."""
+        lines = np.array([name.startswith("compliance.") and parts_of(name)[-1] == "line" for name in self.names])
+        return np.asarray(lines[self.of])
+
+    @property
     def limits(self) -> tuple[Array, Array]:
         """(G,) the least and the most that a variance may become."""
         most = np.where([name.startswith("compliance.") for name in self.names], LARGEST_COMPLIANCE, LARGEST)
@@ -164,6 +170,33 @@ def learn(
     return variances, Posterior(prior * z, prior, root * prior)
 
 
+def alone(
+    gram: Array, moment: Array, groups: Groups, active: Mask, variances: Array, covariance: Array, theta: Array
+) -> Array:
+    """(p,) by how much more [variance] than by `covariance` (p, p) each element of a compliance is unsure, taken by
+    itself; zero for all other parameters   (5.7).
+
+    Where two elements explain the same, the likeliest strengths let one take all: the other comes to nothing and seems
+    to be known well. What they do together is, and `covariance` is for that. An engineer who asks for one of them
+    thinks that a joint whose one element is so many times a typical one may have others so, and that no joint is much
+    stiffer than the middle one.
+    """
+    wide, out = variances.copy(), np.zeros(len(active))
+    elements = [(g, parts_of(name)) for g, name in enumerate(groups.names)]
+    joints: dict[str, list[int]] = {}
+    for g, parts in elements:
+        if parts[0] == "compliance" and parts[-1] == "line":
+            joints.setdefault(parts[1], []).append(g)
+    loudest = [(variances[these] / groups.start[these] ** 2).max() for these in joints.values()]
+    for these, most in zip(joints.values(), np.maximum(loudest, np.median(loudest or [0.0])), strict=True):
+        wide[these] = most * groups.start[these] ** 2
+    _, other = learn(gram, moment, groups, active, wide, 0)
+    bent = groups.of_compliances[active]
+    much = (other.root**2).sum(axis=0) + (other.theta - theta[active]) ** 2 - np.diag(covariance)[active]
+    out[np.flatnonzero(active)[bent]] = np.maximum(much[bent], 0.0)
+    return out
+
+
 def silent(gram: Array, groups: Groups, active: Mask, variances: Array, rows: float) -> Mask:
     """(p,) parameters of groups whose prior hardly adds to what is predicted.
 
@@ -173,7 +206,7 @@ def silent(gram: Array, groups: Groups, active: Mask, variances: Array, rows: fl
     size = np.zeros(len(active))
     size[active] = np.diag(gram)
     seen = np.bincount(groups.of, size * groups.scale**2 * variances[groups.of], minlength=len(groups.names))
-    return np.asarray((seen < NEGLIGIBLE * rows)[groups.of])
+    return np.asarray((seen < NEGLIGIBLE * rows)[groups.of] & ~groups.of_compliances)
 
 
 def _solve(gram: Array, moment: Array, prior: Array) -> tuple[Array, Array]:

@@ -80,7 +80,7 @@ def constant_compliances(calibration: Calibration) -> tuple[list[Element], int]:
     """Those beyond two standard deviations, and how many others there are."""
     found: list[Element] = []
     others = 0
-    std = np.sqrt(np.diag(calibration.covariance))
+    std = calibration.std
     for term, at in _terms(calibration):
         if not isinstance(term, Compliance) or not isinstance(term.basis, Constant):
             continue

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ppshw.identification import joint, visits
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.noise import Noise
-from ppshw.identification.strengths import Groups, held_back, learn
+from ppshw.identification.strengths import Groups, alone, held_back, learn
 from ppshw.identification.structure import joint_model
 from ppshw.identification.visits import Linearisation
 from ppshw.machine import Machine, load_machine
@@ -113,6 +113,34 @@ def test_a_group_that_nothing_speaks_for_shrinks_and_one_that_is_there_is_found(
     fixed = posterior.root.T @ posterior.root
     assert (np.diag(covariance) >= np.diag(fixed)).all()
     assert np.sqrt(np.diag(covariance)[:40].mean()) == pytest.approx(0.5, rel=0.1)
+
+
+def test_an_element_that_came_to_nothing_beside_its_like_is_not_said_to_be_sure() -> None:
+    """Of ten elements, of as many joints, the readings tell of the first two little but the sum, and the last six are
+    nothing; 200 drawn recordings. One of the two often takes all, and its covariance says of the other up to a tenth of
+    what it is off by."""
+    rng = np.random.default_rng(4)
+    names = [f"compliance.j{k // 5}.rM.rx,Mx{k}.line" for k in (0, 5, 1, 6, 2, 7, 3, 8, 4, 9)]
+    parameters = [Parameter(f"C{k}", "1", name, 1.0, 1.0) for k, name in enumerate(names)]
+    groups, everything = Groups.among(parameters), np.ones(10, dtype=bool)
+    gram = 400.0 * np.eye(10)
+    gram[0, 1] = gram[1, 0] = 400.0 * 0.997
+    by_it, by_itself, of_others = [], [], []
+    for _ in range(200):
+        true = np.where(np.arange(10) < 4, np.abs(rng.normal(size=10)), 0.0)
+        moment = gram @ true + np.linalg.cholesky(gram) @ rng.normal(size=10)
+        variances, posterior = learn(gram, moment, groups, everything, np.ones(10), 60)
+        covariance = posterior.covariance(groups, everything)
+        more = alone(gram, moment, groups, everything, variances, covariance, posterior.theta)
+        off = np.abs(posterior.theta - true)
+        std = np.sqrt(np.diag(covariance) + more)
+        by_it.append(off[:2] / np.sqrt(np.diag(covariance))[:2])
+        by_itself.append(off[:2] / std[:2])
+        of_others.append(std[2:])
+    assert np.max(by_it) > 8.0
+    assert np.max(by_itself) < 4.0
+    assert np.mean(np.array(by_itself) < 1.96) > 0.93
+    assert np.median(of_others) == pytest.approx(0.05, rel=0.1)  # what the readings tell is as sure as it was
 
 
 def test_a_joint_that_nothing_was_said_of_is_taken_to_be_as_the_others_are() -> None:
