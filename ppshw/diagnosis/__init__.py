@@ -13,11 +13,13 @@ from ppshw.diagnosis.carried import Carried, carry
 from ppshw.diagnosis.checks import before_and_after
 from ppshw.diagnosis.columns import column_mistakes
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.fine_waves import fine_waves
 from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, moved_by, size_beyond
 from ppshw.diagnosis.gross import GrossErrors, gross_errors, left_at_a_place, still_gross
 from ppshw.diagnosis.jumps import jumps_of_reflectors, jumps_of_zeros
 from ppshw.diagnosis.kinship import of_a_load
 from ppshw.diagnosis.library import LOADS, Candidate, library
+from ppshw.diagnosis.library.by_position import FineWave
 from ppshw.diagnosis.library.weighing import as_weighed
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import BY_CAUSE, of_one_wave
@@ -83,11 +85,11 @@ def diagnose(
     machine = space.machine
     tell(2, 10)
     # what goes with moves or loads may be an effect that looks like scatter; scatter may hide another effect
-    tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
+    tried, found = _look(space, without, seed, [], {}, [], lambda k: tell(2 + k, 10))
     if calming is not None and not found:
         del tried
         space = prepare(machine, recording, gross.others(recording), space.base, calming, gross.at_a_place)
-        tried, found = _look(space, without, seed, [], {}, lambda k: tell(2 + k, 10))
+        tried, found = _look(space, without, seed, [], {}, [], lambda k: tell(2 + k, 10))
     for again in range(MOST_LOOKS - 1):
         # strengths, noise and what is gross were learnt beside the effect; learn them again without it, and look once
         # more; and a third time where visits come back that only looked wrong
@@ -97,10 +99,10 @@ def diagnose(
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
         before = [tried.candidates[f.best if f.was is None else f.was] for f in found if not f.read]
-        clean = _without(space, tried, found)
+        clean, shown = _without(space, tried, found), fine_waves(space)
         del tried  # its columns are most of the memory: the next look lays its own
         space = _learnt_without(machine, space, clean, gross, calming)
-        tried, found = _look(space, without, seed, before, lost, lambda k: tell(6 + k, 10))
+        tried, found = _look(space, without, seed, before, lost, shown, lambda k: tell(6 + k, 10))
     unnamed = "unsettled" in without
     # what a smooth function leaves of structure without a name swings more in places, and is no scatter
     large = _as_scatter(space, tried, found)
@@ -175,10 +177,10 @@ def _calming(space: Workspace, without: frozenset[str], seed: int) -> Array | No
 
 def _look(
     space: Workspace, without: frozenset[str], seed: int, before: list[Candidate], lost: Mapping[str, float],
-    tell: Callable[[int], None],
+    shown: list[FineWave], tell: Callable[[int], None],
 ) -> tuple[Tried, list[Found]]:  # fmt: skip
     """before: what an earlier look found, whose moments, periods, bands of waves, loads and creep are tried more
-    finely; lost: what joints lose by it."""
+    finely; lost: what joints lose by it; shown: fine waves that were left beside it."""
     moments = [k.shape["time_h"] for k in before if "time_h" in k.shape]
     periods = [(str(k.joint), k.shape["period"]) for k in before if "period" in k.shape]
     bands = [k for k in before if k.effect == "nameless" and all(column.function == "wave" for column in k.columns)]
@@ -189,11 +191,12 @@ def _look(
     most = COLUMNS_PER_VISIT * int(space.fit.sum())
     loads = {load for k in before if (load := of_a_load(k)) is not None}
     creeps = any(k.effect == "creep" for k in before)
-    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost, loads, creeps)
+    waves = list(dict.fromkeys([*shown, *fine_waves(space)]))
+    every = library(space.context, without, moments, periods, bands, jumps, knocks, lost, loads, creeps, waves)
     every = [k for k in every if most >= len(k.columns)]
     named = as_weighed(space.context, every)
-    kept = {id(k) for k in named}
-    candidates = named + [k for k in nameless(space.context, jumps) if most >= len(k.columns)]
+    kept, unnamed = {id(k) for k in named}, waves if "periodic_transmission" in without else []
+    candidates = named + [k for k in nameless(space.context, jumps, unnamed) if most >= len(k.columns)]
     give_back()
     tried = Tried(space, candidates, space.unit, without, [k for k in every if id(k) not in kept])
     tell(2)

@@ -262,8 +262,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         f"({size}).",
         "tracker_scale": f"all distances from the tracker are wrong by a factor{_parts(c, candidate, values)} "
         f"({size}).",
-        "periodic_transmission": f"{joint} is off by a wave of period {_period(c, candidate)} along its "
-        f"own travel: a screw, a gear or an encoder ({size}).",
+        "periodic_transmission": f"{joint} {_in_a_wave(c, candidate)} ({size}).",
         "nonlinear_stiffness": f"{joint} does not give way in proportion to the {candidate.covariate} on it ({size}).",
         "clearance": f"{joint} falls to one side or the other as the {candidate.covariate} on it changes sign: "
         f"play ({size}).",
@@ -308,10 +307,16 @@ def _along_its_travel(c: Context, candidate: Candidate) -> str:
     )
 
 
-def _period(c: Context, candidate: Candidate) -> str:
+def _in_a_wave(c: Context, candidate: Candidate) -> str:
     if candidate.effect != "periodic_transmission":
         return ""
-    return f"{candidate.shape['period']:.5g} {shape_unit(c, 'period', candidate)}"
+    wave = f"wave of period {candidate.shape['period']:.5g} {shape_unit(c, 'period', candidate)}"
+    first = candidate.columns[0]
+    if first.component == own_component(c, first.args["joint"]):
+        return f"is off by a {wave} along its own travel: a screw, a gear or an encoder"
+    return (
+        f"moves in {candidate.component} by a {wave}, across its own travel: a screw that is bent, a rail or a bearing"
+    )
 
 
 def _per_kelvin(candidate: Candidate, values: Array) -> str:

@@ -23,7 +23,7 @@ from types import MappingProxyType
 from ppshw.diagnosis.library.by_heat_and_time import drift, thermal
 from ppshw.diagnosis.library.by_instrument import force_sensor, force_sensor_jumps, tracker_scale
 from ppshw.diagnosis.library.by_load import clearance, missing_compliance, nonlinear
-from ppshw.diagnosis.library.by_position import coupling, periodic, periodic_across
+from ppshw.diagnosis.library.by_position import FineWave, coupling, fine, periodic, periodic_across
 from ppshw.diagnosis.library.candidate import Candidate, all_kept
 from ppshw.diagnosis.library.creep import creeping, creeping_from_nothing
 from ppshw.diagnosis.library.jumps import Jumps, moved_reflector, zero_shift
@@ -50,7 +50,7 @@ def library(
     c: Context, without: frozenset[str] = frozenset(), moments: Sequence[float] = (),
     periods: Sequence[tuple[str, float]] = (), bands: Sequence[Candidate] = (),
     jumps: Sequence[Jumps] = (), knocks: Sequence[Jumps] = (), lost: Mapping[str, float] = NOTHING_KNOWN,
-    loads: Collection[int] = (), creeps: bool = False,
+    loads: Collection[int] = (), creeps: bool = False, fine_waves: Sequence[FineWave] = (),
 ) -> list[Candidate]:  # fmt: skip
     """All candidates for a recording; shares of an effect add up to one.
 
@@ -63,6 +63,7 @@ def library(
     knocks   the same of reflectors
     lost     what joints lose when they turn back [m or rad], as far as it is known: how fast play can be taken up
     loads    components of the wrench that a link seems to give way to out of proportion: tried more finely
+    fine_waves  waves that a residual shows most, of those too many to try each
     creeps   whether something seems to creep: its two time constants are tried more finely
     """
     makers = (
@@ -73,7 +74,7 @@ def library(
     found += creeping(c, creeps)
     found += [k for make in (nonlinear, clearance) for k in make(c, loads)]
     found += moved_reflector(c, moments_about(c, moments), knocks)
-    found += [*periodic(c, periods), *periodic_across(c, bands), *zero_shift(c, jumps)]
+    found += [*periodic(c, periods), *periodic_across(c, bands), *fine(c, fine_waves), *zero_shift(c, jumps)]
     found = [k for k in found if k.effect not in without]
     total: dict[str, float] = {}
     for k in found:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import called, moving_joints, own_component, waving_joints
@@ -15,10 +17,24 @@ from ppshw.terms.shapes import Column, Context
 SCREW, GEAR, MOST_PERIODS = 0.005, np.pi / 160, 900
 FINER = (-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8)  # half waves more over the travel, about a wave that was found
 LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
+ACROSS_TRIED = 48  # half waves over the travel up to which bands are tried across a joint's own direction
+# Weight of waves that are finer than is tried of every joint, along its travel and in each component across.
+FINE_ALONG, FINE_ACROSS = 0.3, 0.1
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 # Half waves over two joints' travels, nine of both together: five of one where there are four of the other.
 STRAIGHT = 3  # up to this order both together polynomials, beyond it cosines of as many half waves
 FINELY_TWO = tuple((i, j) for i in range(1, 9) for j in range(1, 10 - i))
+
+
+@dataclass(frozen=True)
+class FineWave:
+    """Of joint k's position in one component of its frame, finer than is tried of every joint; tried: of how many it is
+    the best."""
+
+    joint: int
+    component: int
+    period: float
+    tried: int
 
 
 def of_two(a: int, i: int, b: int, j: int) -> tuple[str, dict[str, int]]:
@@ -30,14 +46,27 @@ def of_two(a: int, i: int, b: int, j: int) -> tuple[str, dict[str, int]]:
 
 def periodic(c: Context, about: Sequence[tuple[str, float]]) -> Iterator[Candidate]:
     for k, name in waving_joints(c):
-        joint = c.machine.joints[k]
         span = float(np.ptp(c.recording.q[:, k]))
-        most = int(np.clip(2 * span / (SCREW if joint.prismatic else GEAR), LEAST_PERIODS, MOST_PERIODS))
-        half_waves = np.arange(6.0, most + 1)
+        half_waves = half_waves_tried(c, k)
         near = [2 * span / period + np.array(FINER) for joint_name, period in about if joint_name == name]
         periods = 2 * span / np.unique(np.round(np.concatenate([half_waves, *near]), 3))
         own = own_component(c, k)
         yield from _single_waves(c, k, own, list(map(float, periods)))
+
+
+def half_waves_tried(c: Context, k: int) -> NDArray[np.float64]:
+    """Of joint k in its own direction, rising."""
+    shortest, span = SCREW if c.machine.joints[k].prismatic else GEAR, float(np.ptp(c.recording.q[:, k]))
+    return np.arange(6.0, int(np.clip(2 * span / shortest, LEAST_PERIODS, MOST_PERIODS)) + 1)
+
+
+def fine(c: Context, waves: Sequence[FineWave]) -> Iterator[Candidate]:
+    """Those that the residual shows most of, of all that it was asked for."""
+    for wave in waves:
+        own = own_component(c, wave.joint) == wave.component
+        for candidate in _single_waves(c, wave.joint, wave.component, [wave.period]):
+            candidate.share = (FINE_ALONG if own else FINE_ACROSS) / wave.tried
+            yield candidate
 
 
 def periodic_across(c: Context, bands: Sequence[Candidate]) -> Iterator[Candidate]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from ppshw.diagnosis.library.by_position import FineWave
 from ppshw.diagnosis.library.candidate import Candidate, all_kept
 from ppshw.diagnosis.library.jumps import Jumps
 from ppshw.diagnosis.nameless.at_the_reflectors import at_the_reflectors
@@ -38,17 +39,19 @@ __all__ = ["nameless"]
 
 
 @all_kept()
-def nameless(c: Context, jumps: Sequence[Jumps] = ()) -> list[Candidate]:
+def nameless(c: Context, jumps: Sequence[Jumps] = (), waves: Sequence[FineWave] = ()) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind as they say; shares add up
     to one.
 
     jumps  moments of several jumps of a joint that the recording speaks for most
+    waves  finer than every joint is asked for, where they may have no name
     """
     at_some_moments = partial(at_a_moment, jumps=jumps)
     makers = (
         of_one_column, along_a_joint, base_in_all_directions, at_some_moments, rhythms, random_seats, reversals,
         under_load, by_own_weight, mounted, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns,
-        finely, dents, splices, of_two_positions, of_three_positions, at_the_reflectors, where_it_rests,
+        partial(finely, waves=waves), dents, splices, of_two_positions, of_three_positions, at_the_reflectors,
+        where_it_rests,
     )  # fmt: skip
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
     for kind in kinds:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ppshw.diagnosis.library.by_position import FINELY_TWO, of_two
+from ppshw.diagnosis.library.by_position import FINELY_TWO, FineWave, fine, of_two
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import moving_joints, own_component
 from ppshw.diagnosis.nameless.rival import half_waves, rival, smooth_pair
@@ -20,12 +21,14 @@ DENTS = (0.05, 0.1)  # widths relative to half the travel
 SPLICES = 63  # places of a travel where a step is sought
 
 
-def finely(c: Context) -> Iterator[Candidate]:
-    """A function of one position finer than the base model's, octave by octave."""
+def finely(c: Context, waves: Sequence[FineWave] = ()) -> Iterator[Candidate]:
+    """A function of one position finer than the base model's, octave by octave, and waves finer than these."""
     for k, name in moving_joints(c):
         finer = [(own_component(c, k), least) for least in IN_ITS_DIRECTION]
         for comp, least in [*itertools.product(range(6), OCTAVES), *finer]:
             yield rival(c, k + 1, comp, (f"q_{name}",), half_waves(c, k, comp, range(2 * least, 4 * least, 2)))
+    for wave in fine(c, waves):
+        yield replace(wave, effect="nameless", joint=None, covariates=(wave.covariate,), shape={})
 
 
 def dents(c: Context) -> Iterator[Candidate]:
