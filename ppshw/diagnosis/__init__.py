@@ -98,7 +98,8 @@ def diagnose(
         if not found or (again and still.visits == gross.visits):
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
-        before = [tried.candidates[f.best if f.was is None else f.was] for f in found if not f.read]
+        each = dict.fromkeys(k for f in found if not f.read for k in (f.was, f.best) if k is not None)
+        before = [tried.candidates[k] for k in each]
         clean, shown = _without(space, tried, found), fine_waves(space)
         del tried  # its columns are most of the memory: the next look lays its own
         space = _learnt_without(machine, space, clean, gross, calming)

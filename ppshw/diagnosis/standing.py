@@ -23,6 +23,7 @@ from ppshw.diagnosis.kinship import (
     stranger_than,
     winds_up,
 )
+from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.lost_motion import SOFTEST_KNOWN
 from ppshw.diagnosis.library.sampled import called, within
 from ppshw.diagnosis.library.weighing import surely_misread
@@ -289,12 +290,14 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int, in_one: bo
     """
     mine, machine = tried.candidates[f.best], tried.space.machine
     unturned, inside = never_turned(machine), within(machine)
+    forms = [mine, *_next_door(tried, f, evidence)]
+    both = not OF_A_LOAD & tried.without
     others = np.array([
         j for j in np.flatnonzero(tried.name_of == freely)
-        if not of_its_kind(mine, tried.candidates[j], unturned, inside, not OF_A_LOAD & tried.without)
+        if not any(of_its_kind(form, tried.candidates[j], unturned, inside, both) for form in forms)
         and not (in_one and tried.candidates[j].component is None)
     ])  # fmt: skip
-    counted = np.array([counts(mine, tried.candidates[j], unturned) for j in others])
+    counted = np.array([min(counts(form, tried.candidates[j], unturned) for form in forms) for j in others])
     if mine.effect == "friction_hysteresis":  # nearly the same motion of another frame says no more of how it winds up
         wound = np.array([winds_up(mine, tried.candidates[j]) for j in others])
         here = np.max(evidence[others], where=wound & (counted < 1.0), initial=-math.inf)
@@ -303,6 +306,19 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int, in_one: bo
     weighed = counted * evidence[others] + tried.log_share[others] - AHEAD * strange
     said = float(logsumexp(weighed))
     return HANDICAP * said if said > 0 else said, int(others[np.argmax(weighed)])
+
+
+def _next_door(tried: Tried, f: Found, evidence: Array) -> list[Candidate]:
+    """What a load does to one joint is said of the next one too, where both bear nearly the same: the best forms of a
+    finding's effect at other joints that say nearly as much. A function without a name of that joint's load is no other
+    explanation (a cubic stiffness said 106 at the first joint and 103 at its own, the second, where any function of the
+    second's load said 100; another author's 56056)."""
+    if f.name[0] not in OF_A_LOAD:
+        return []
+    names = tried.by_name(evidence[None])[0]
+    least = names[tried.names.index(f.name)] - AHEAD
+    there = [k for k, n in enumerate(tried.names) if n[0] == f.name[0] and n != f.name and names[k] > least]
+    return [tried.candidates[tried.strongest(evidence, k)] for k in there]
 
 
 def _by_itself(

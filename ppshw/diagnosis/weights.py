@@ -31,7 +31,8 @@ MOST_NAMES = 5  # that are told besides
 # friction of ten authors and of six sealed decks, where it was found, took 0.65 %.
 SOFT, BRIEF = 8.0, 0.012
 # How likely what a finding may as well be is, beside it: of one jump of a rail, which a base's can be, 0.30 to 0.65.
-MAY_BE = {"backlash": 0.7, "drift": 0.45, "clearance": 0.7, "nonlinear_stiffness": 0.7}
+# Growth beside a scale was a scale about another place with 0.95 in two of a reviewer's three recordings of both.
+MAY_BE = {"backlash": 0.7, "drift": 0.45, "clearance": 0.7, "nonlinear_stiffness": 0.7, "thermal_growth": 0.7}
 # Relative to the load's spread, widths over which what falls little by little, with its load, is a joint that falls or
 # one that gives way softly at first, about where the library draws the line (0.3 and 0.6): of two other authors' one
 # was a fall, at 0.29, and one stiffness, at 0.30.
@@ -50,6 +51,7 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
     much ahead of that one as the two sets are apart, but by no more than BY_NEAR_FORMS.
     """
     whole = explained(space, tried, found)
+    besides: dict[Name, Name] = {}
     for f in found:
         if f.read:
             f.weights = {f.name: 1.0 - OUTSIDE, NAMELESS: OUTSIDE}
@@ -63,6 +65,10 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             take_up(space, tried, others)
         every, names = tried.said()
         f.also = _also(tried, f, every)
+        if (grown := _grown(space, tried, f, others, float(every[f.best]))) is not None:
+            f.also = (f"be a scale about where the file has the instrument and growth of {grown[1]}, which setpoints "
+                      "would be corrected for",)  # fmt: skip
+            besides[f.name] = grown
         evidence = names.copy()
         if any(is_both(f, g) for g in others):
             evidence[tried.names.index(NAMELESS)] = _but_winding_up(tried, f, every)
@@ -81,7 +87,8 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.weights = {tried.names[j]: float(weights[j]) for j in (*kept, tried.names.index(NAMELESS))}
     take_up(space, tried, found)
     for f in found:
-        if not any(is_both(f, g) for g in found) and (other := as_well(space, tried, f)) is not None:
+        other = besides.get(f.name, as_well(space, tried, f))
+        if other is not None and not any(is_both(f, g) for g in found):
             f.weights[other] = max(f.weights.get(other, 0.0), MAY_BE[other[0]] * f.weights[f.name])
             free = f.weights.pop(NAMELESS)
             total = sum(f.weights.values())
@@ -111,6 +118,25 @@ def _also(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
     others = [p for p in said if isinstance(p, float) and abs(travel / p - travel / period) > 1.0 and said[p] > least]
     unit = tried.space.machine.joints[k].unit
     return tuple(f"have a period of {p:.3g} {unit}" for p in sorted(others, key=lambda p: -said[p])[:1])
+
+
+def _grown(space: Workspace, tried: Tried, f: Found, others: list[Found], said: float) -> Name | None:
+    """The growth that a scale about another place than the instrument's (said: its log evidence) may be, beside a scale
+    about that: all that shifts with the same temperature is the base, or the machine. The others are taken up."""
+    mine = tried.candidates[f.best]
+    if mine.effect != "tracker_scale" or not mine.led or not mine.covariate.startswith("temp_"):
+        return None
+    alike = [k for k, c in enumerate(tried.candidates) if c.columns == mine.columns[:1] and c.effect == mine.effect]
+    grows = [k for k, name in enumerate(tried.names) if name[0] == "thermal_growth"]
+    if not alike or not grows:
+        return None
+    first = float(tried.said()[0][alike[0]])
+    take_up(space, tried, [*others, Found(alike[0], f.name, f.p, first, first=first)])
+    names = tried.said()[1]
+    take_up(space, tried, others)
+    growth = max(grows, key=lambda k: float(names[k]))
+    together = first + tried.log_share[alike[0]] + float(names[growth])
+    return tried.names[growth] if together > said + tried.log_share[f.best] - ALSO_BY else None
 
 
 def _but_winding_up(tried: Tried, f: Found, every: Array) -> float:

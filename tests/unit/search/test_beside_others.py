@@ -159,6 +159,33 @@ def test_a_function_of_a_load_stands_by_the_name_that_says_more(
     assert [f.name[0] for f in found] == [wanted]
 
 
+@pytest.mark.parametrize(("next_door", "stands"), [(103.0, True), (95.0, False)])
+def test_a_function_of_the_next_joint_s_load_is_no_other_explanation_where_the_name_may_sit_there(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch, next_door: float, stands: bool
+) -> None:
+    """A cubic stiffness said 106 of log evidence at the first of two joints that bear nearly one load, and 103 at its
+    own; any function of the second's load said 100 (another author's 56056)."""
+    here, there = (
+        next(
+            k for k in named(space, "nonlinear_stiffness") if (k.joint, k.component, k.covariate) == (joint, "rx", "Mx")
+        )
+        for joint in ("pitch", "roll")
+    )
+    of_its_load = next(
+        k for k in named(space, "nameless")
+        if (k.frame, k.component, k.covariates) == ("roll", "rx", ("on_roll_Mx",))
+        and k.columns[0].function == "load_legendre"
+    )  # fmt: skip
+    rival = next(k for k in named(space, "nameless") if k.frame == "base" and k.component)
+    tried = Tried(space, [here, there, of_its_load, replace(rival, share=1.0)], 5e-5)
+    evidence = np.array([106.0, next_door, 100.0, 50.0]) - tried.log_share
+    monkeypatch.setattr(standing, "_by_itself", lambda *_: (106.0, 102.0, evidence))
+    found = [Found(0, tried.name(0), 0.0, 106.0, first=106.0)]
+    standing.give_up(space, tried, found)
+    space.forget()
+    assert [f.name[0] for f in found] == ["nonlinear_stiffness" if stands else "nameless"]
+
+
 @pytest.mark.parametrize(("here", "stands"), [(896.4, True), (892.0, False)])
 def test_how_friction_winds_up_tells_no_more_against_it_at_another_frame_that_moves_alike(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, here: float, stands: bool
@@ -877,6 +904,21 @@ def test_a_jump_of_a_rail_that_nothing_turns_may_be_one_of_the_base(space: Works
         jump = next(k for k in named(space, "zero_shift") if k.joint == joint)
         tried = Tried(space, [jump, named(space, "drift")[0]], 5e-5)
         assert as_well(space, tried, Found(0, tried.name(0), 0.0, 20.0)) == either
+
+
+@pytest.mark.parametrize(("aside", "alone"), [(3.0, False), (0.0, True)])
+def test_a_scale_about_another_place_may_be_a_scale_and_growth(space: Workspace, aside: float, alone: bool) -> None:
+    """The instrument's error beside growth of a rail by the same thermometer was a scale about another place, for
+    certain, and setpoints were corrected for neither (two of a reviewer's three)."""
+    scale = Column("points", "scale", {"place": "air"})
+    rail = Column("frame", "temperature", {"place": "air", "tau": 0.0}, 1, 0)
+    moved = of_size(space, scale.evaluate(space.context), 4.0) + of_size(space, rail.evaluate(space.context), aside)
+    found, tried = look(having_read(space, space.data + moved), ["tracker_scale", "thermal_growth"], "base")
+    assert found[0].name == ("tracker_scale", None)
+    assert len(found) == 1
+    growth = [weight for (effect, _), weight in found[0].weights.items() if effect == "thermal_growth"]
+    assert (max(growth) < 0.05) == alone
+    assert any("growth of" in what for what in found[0].also) != alone
 
 
 def test_a_base_that_wanders_and_turns_nearly_as_the_air_warms_is_no_growth(space: Workspace) -> None:
