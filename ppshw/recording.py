@@ -11,6 +11,7 @@ import hashlib
 import io
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -463,7 +464,8 @@ class _Cells:
 
     def __init__(self, table: Table) -> None:
         self._table = table
-        self.names = [name.strip() for name in table.header]
+        # an accent may be a letter's own or stand behind it, as macOS writes it: the same name
+        self.names = [unicodedata.normalize("NFC", name.strip()) for name in table.header]
         self._index = {name: k for k, name in enumerate(self.names)}
 
     def __contains__(self, name: str) -> bool:

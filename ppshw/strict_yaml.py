@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -208,7 +209,7 @@ def read_yaml(path: Path | str, error: type[BadInput]) -> Section:
     except (OSError, UnicodeDecodeError) as exc:
         raise error(f"{path}: cannot be read as UTF-8 text ({_one_line(exc)})") from None
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(unicodedata.normalize("NFC", text), Loader=yaml.SafeLoader)
     except yaml.YAMLError as exc:
         raise error(f"{path}: not valid YAML ({_one_line(exc)})") from None
     except RecursionError:

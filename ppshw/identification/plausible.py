@@ -210,6 +210,11 @@ def doubts(machine: Machine, recording: Recording) -> list[str]:
         for place, visits in recording.spikes.items()
     ]
     said += _silent_for_long(recording)
+    said += [
+        f"temp_{place}_C is empty at every visit: nothing can be told to go with it"
+        for place, values in recording.temperatures.items()
+        if not np.isfinite(values).any()
+    ]
     for place, values in recording.temperatures.items():
         middle = float(np.nanmedian(values)) if np.isfinite(values).any() else 0.0
         if middle > KELVIN_C:

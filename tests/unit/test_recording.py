@@ -47,6 +47,17 @@ def test_the_least_columns_are_joints_and_one_target(tmp_path: Path) -> None:
     assert found.step == found.load == ("", "")
 
 
+def test_an_accent_that_stands_behind_its_letter_is_the_same_name(tmp_path: Path) -> None:
+    """As macOS writes names: a joint called brücke had no column q_brücke, which looks the same."""
+    whole, apart = "br\u00fccke", "bru\u0308cke"
+    for joint, column in ((whole, apart), (apart, whole)):
+        (tmp_path / "m.yaml").write_text(MACHINE.replace("rail", joint), encoding="utf-8")
+        (tmp_path / "r.csv").write_text(f"q_{column},q_turn,P2_x,P2_y,P2_z\n0.1,0.2,1,2,3\n", encoding="utf-8")
+        found = load_recording(tmp_path / "r.csv", load_machine(tmp_path / "m.yaml"))
+        assert found.joint_names == (whole, "turn")
+        assert found.q.tolist() == [[0.1, 0.2]]
+
+
 def test_a_copied_row_counts_once_at_points_of_interest_too(tmp_path: Path) -> None:
     head = "q_rail,q_turn,P1_x,P1_y,P1_z,treatment_x,treatment_y,treatment_z"
     row = "0.1,0.2,1.25,2.125,3.5,4.25,5.125,6.5"
@@ -165,6 +176,13 @@ def test_a_thermometer_that_said_nothing_for_long_is_asked_about(tmp_path: Path)
     assert not [line for line in doubts(load_machine(tmp_path / "m.yaml"), now_and_then) if "empty" in line]
     never = read(tmp_path, columns, *(row.rsplit(",", 1)[0] + "," for row in rows))
     assert never.silent == {}
+
+
+def test_a_thermometer_that_never_said_anything_is_asked_about(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},0.2,{k},2,3,,21.5" for k in range(20)]
+    found = read(tmp_path, "q_rail,q_turn,P2_x,P2_y,P2_z,temp_air_C,temp_rail_C", *rows)
+    said = [line for line in doubts(load_machine(tmp_path / "m.yaml"), found) if "temp_" in line]
+    assert said == ["temp_air_C is empty at every visit: nothing can be told to go with it"]
 
 
 def test_a_thermometer_that_leaps_again_and_again_is_believed(tmp_path: Path) -> None:

@@ -913,7 +913,7 @@ def test_a_scale_about_another_place_may_be_a_scale_and_growth(space: Workspace,
     scale = Column("points", "scale", {"place": "air"})
     rail = Column("frame", "temperature", {"place": "air", "tau": 0.0}, 1, 0)
     moved = of_size(space, scale.evaluate(space.context), 4.0) + of_size(space, rail.evaluate(space.context), aside)
-    found, tried = look(having_read(space, space.data + moved), ["tracker_scale", "thermal_growth"], "base")
+    found, _ = look(having_read(space, space.data + moved), ["tracker_scale", "thermal_growth"], "base")
     assert found[0].name == ("tracker_scale", None)
     assert len(found) == 1
     growth = [weight for (effect, _), weight in found[0].weights.items() if effect == "thermal_growth"]
