@@ -98,8 +98,7 @@ def diagnose(
         if not found or (again and still.visits == gross.visits):
             break
         calming, gross, lost = _calming(space, without, seed), still, _lost(space, tried, found)
-        each = dict.fromkeys(k for f in found if not f.read for k in (f.was, f.best) if k is not None)
-        before = [tried.candidates[k] for k in each]
+        before = _seen(tried, found)
         clean, shown = _without(space, tried, found), fine_waves(space)
         del tried  # its columns are most of the memory: the next look lays its own
         space = _learnt_without(machine, space, clean, gross, calming)
@@ -205,6 +204,14 @@ def _look(
     found = search(space, tried, np.random.default_rng(seed), earlier)
     tell(4)
     return tried, found
+
+
+def _seen(tried: Tried, found: Sequence[Found]) -> list[Candidate]:
+    """What an earlier look found, to look there more finely: of a name that was given up its form, and the structure
+    that stands in its place (a wave across a travel beside one along it was a band without a name, and was asked for
+    along it alone; another author's 56035)."""
+    each = dict.fromkeys(k for f in found if not f.read for k in (f.was, f.best) if k is not None)
+    return [tried.candidates[k] for k in each]
 
 
 def _lost(space: Workspace, tried: Tried, found: list[Found]) -> dict[str, float]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import _as_scatter, _each_once, standing
+from ppshw.diagnosis import _as_scatter, _each_once, _seen, standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
 from ppshw.diagnosis.library import Candidate, library
@@ -904,6 +904,17 @@ def test_a_jump_of_a_rail_that_nothing_turns_may_be_one_of_the_base(space: Works
         jump = next(k for k in named(space, "zero_shift") if k.joint == joint)
         tried = Tried(space, [jump, named(space, "drift")[0]], 5e-5)
         assert as_well(space, tried, Found(0, tried.name(0), 0.0, 20.0)) == either
+
+
+def test_a_second_look_goes_by_the_name_that_was_given_up_and_by_what_stands_for_it(space: Workspace) -> None:
+    """A wave across a travel beside one along it was asked for along it alone."""
+    wave = next(k for k in named(space, "periodic_transmission") if k.joint == NAME)
+    band = next(k for k in named(space, "nameless") if k.frame == NAME and len(k.columns) > 2)
+    jump = named(space, "zero_shift")[0]
+    tried = Tried(space, [wave, band, jump], 5e-5)
+    given_up = Found(1, ("nameless", None), 0.0, 20.0, was=0)
+    assert _seen(tried, [given_up, Found(2, tried.name(2), 0.0, 9.0, read=True)]) == [wave, band]
+    assert _seen(tried, [Found(2, tried.name(2), 0.0, 9.0), given_up]) == [jump, wave, band]
 
 
 @pytest.mark.parametrize(("aside", "alone"), [(3.0, False), (0.0, True)])
