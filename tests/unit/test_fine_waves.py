@@ -12,6 +12,7 @@ from ppshw.diagnosis.fine_waves import LINEAR, fine_waves
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.by_position import FINE_ACROSS, FineWave, half_waves_tried
 from ppshw.diagnosis.nameless import nameless
+from ppshw.diagnosis.parameters import spread_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
@@ -61,6 +62,8 @@ def test_it_has_a_name_that_says_which_way_and_structure_where_the_name_is_taken
         assert tried.names[best] == ("periodic_transmission", clean.machine.joint_names[RAIL])
         candidate = tried.candidates[tried.strongest(evidence, best)]
         assert candidate.shape["period"] == pytest.approx(PERIOD, rel=2e-3)
+        spread = spread_of(tried, tried.strongest(evidence, best), evidence)["period"]
+        assert abs(candidate.shape["period"] - PERIOD) < 3.0 * spread < 1e-3 * PERIOD
         said.append(sentence(space.context, candidate, np.array([HEIGHT, 0.0]), 1e-4))
         without = [*library(space.context, frozenset({"periodic_transmission"})), *nameless(space.context, (), waves)]
         tried = Tried(space, without, space.unit)
@@ -79,6 +82,8 @@ def test_what_a_wave_is_worth_counts_all_that_it_was_chosen_from(clean: Workspac
         candidates = library(clean.context, fine_waves=[FineWave(RAIL, 4, PERIOD, tried)])
         periodic = [k for k in candidates if k.effect == "periodic_transmission"]
         assert sum(k.share for k in periodic) == pytest.approx(1.0)
-        shares += [k.share for k in periodic if k.shape["period"] == PERIOD]
+        near = [k.share for k in periodic if abs(k.shape["period"] / PERIOD - 1.0) < 1e-3]
+        assert len(near) == 5
+        shares.append(sum(near))
     assert shares[0] == pytest.approx(100 * shares[1], rel=0.01)
     assert shares[0] < FINE_ACROSS / 10

@@ -20,6 +20,7 @@ LEAST_PERIODS = 160  # half waves over the travel that are tried of every joint
 ACROSS_TRIED = 48  # half waves over the travel up to which bands are tried across a joint's own direction
 # Weight of waves that are finer than is tried of every joint, along its travel and in each component across.
 FINE_ALONG, FINE_ACROSS = 0.3, 0.1
+ABOUT_FINE = (-0.2, -0.1, 0.0, 0.1, 0.2)  # half waves more over the travel, about one of these
 LUMPS = (3, 4, 5, 6, 8, 10)  # half waves over one joint's travel that go in proportion to another's position
 # Half waves over two joints' travels, nine of both together: five of one where there are four of the other.
 STRAIGHT = 3  # up to this order both together polynomials, beyond it cosines of as many half waves
@@ -61,11 +62,14 @@ def half_waves_tried(c: Context, k: int) -> NDArray[np.float64]:
 
 
 def fine(c: Context, waves: Sequence[FineWave]) -> Iterator[Candidate]:
-    """Those that the residual shows most of, of all that it was asked for."""
+    """Those that the residual shows most of, of all that it was asked for, and what is next to each, by which its
+    period is known."""
     for wave in waves:
         own = own_component(c, wave.joint) == wave.component
-        for candidate in _single_waves(c, wave.joint, wave.component, [wave.period]):
-            candidate.share = (FINE_ALONG if own else FINE_ACROSS) / wave.tried
+        twice = 2 * float(np.ptp(c.recording.q[:, wave.joint]))
+        periods = [twice / (twice / wave.period + more) for more in ABOUT_FINE]
+        for candidate in _single_waves(c, wave.joint, wave.component, periods):
+            candidate.share *= (FINE_ALONG if own else FINE_ACROSS) / wave.tried
             yield candidate
 
 
