@@ -255,8 +255,8 @@ def _about_reflectors(base: Estimate) -> Estimate:
 
 def _reflectors_learnt(space: Workspace) -> Workspace:
     """The same with known reflectors as well known as two or more of them say themselves: the largest evidence of what
-    their offsets leave (as log_evidence), all alike or, of three or more, but for one, or beside a scale of the
-    instrument. Equal for those of one: they turn with the tip."""
+    their offsets leave (as log_evidence), all alike or, of three or more, but for one, beside a scale of the
+    instrument, or both. Equal for those of one: they turn with the tip."""
     count = 3 * len(space.machine.targets)  # the last parameters
     active = np.flatnonzero(space.active) - (len(space.active) - count)
     mine = active >= 0
@@ -281,8 +281,10 @@ def _reflectors_learnt(space: Workspace) -> Workspace:
         alike = np.full(len(which), s)
         tried.append((said(alike) - A_STEP * step, s))
         if len(np.unique(which)) > 2:
-            more = [said(np.where(which == k, moved, s)) for k in np.unique(which) for moved in MOVED]
-            tried.append((max(*more, said(alike, A_SCALE)) - A_STEP * step - ONE_MOVED, s))
+            one = [np.where(which == k, moved, s) for k in np.unique(which) for moved in MOVED]
+            either = max(*(said(each) for each in one), said(alike, A_SCALE))
+            both = max(said(each, A_SCALE) for each in one) - ONE_MOVED
+            tried.append((max(either, both) - A_STEP * step - ONE_MOVED, s))
     known_to = max(tried)[1]
     covariance = space.base.covariance.copy()
     covariance[-count:, -count:] = known_to**2 * np.eye(count)

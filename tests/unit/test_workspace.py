@@ -34,6 +34,8 @@ from ppshw.terms.effect import Effect
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.covariates import covariate
 from simulators.concealed.case import make_case
+from simulators.offline import simulate_recording_csv
+from simulators.plant import Plant
 from tests.unit.clean_case import clean_case
 
 
@@ -324,6 +326,23 @@ def test_reflectors_say_how_well_they_are_known_but_for_one_that_moved(
     least, most = known_to
     assert least <= there.base.groups["target"] <= most
     assert (there.reflectors_off is None) == (most < 2e-5)  # what is said of them
+
+
+def test_four_reflectors_are_known_beside_one_that_moved_and_a_scale_of_the_instrument(tmp_path: Path) -> None:
+    """A scale of 102 ppm beside one that slid hid in reflectors said to be 20 µm off (another author's 57004)."""
+    text = (Path(__file__).parents[2] / "machines/pps.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "four.yaml"
+    file.write_text(text.replace("targets: {", "targets: {P4: [0.1, 0.4, 0.1], "), encoding="utf-8")
+    machine = load_machine(file)
+    path = simulate_recording_csv(Plant.from_file(file, 3), tmp_path / "r.csv", 120)
+    recording = load_recording(path, machine)
+    moved = np.zeros(recording.points.shape)
+    turn = tip_poses(machine, recording.q)[:, :3, :3]
+    to_base = np.eye(3) if machine.tracker.base is None else machine.tracker.base[:3, :3]
+    moved[:, 2] = turn @ [1.4e-4, -2.2e-4, 1.5e-4] @ to_base
+    there = prepare(machine, replace(recording, points=1.0001 * (recording.points + moved)), recording.measured)
+    assert there.base.groups["target"] <= 1e-5
+    assert there.reflectors_off is None
 
 
 def test_an_estimate_takes_known_reflectors_to_be_where_the_file_has_them(space: Workspace) -> None:
