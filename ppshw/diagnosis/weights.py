@@ -41,6 +41,8 @@ EITHER = (0.25, 0.65)
 # was a scale with 0.95, which the other's form said as well (another author's 31029).
 BY_NEAR_FORMS = math.log(4.0)
 ALSO_BY = 3.0  # of log evidence: 20 to 1
+# Grids are sought down to a 4,000th of a travel, some at a time; positions within a twentieth turn this much alike.
+FINEST_GRID, GRIDS, ON_A_GRID = 4000, 256, 0.95
 
 
 def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
@@ -117,7 +119,25 @@ def _also(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
     travel = float(np.ptp(tried.space.recording.q[:, k]))
     others = [p for p in said if isinstance(p, float) and abs(travel / p - travel / period) > 1.0 and said[p] > least]
     unit = tried.space.machine.joints[k].unit
-    return tuple(f"have a period of {p:.3g} {unit}" for p in sorted(others, key=lambda p: -said[p])[:1])
+    known = [f"have a period of {p:.3g} {unit}" for p in sorted(others, key=lambda p: -said[p])[:1]]
+    if (grid := grid_of(tried.space.recording.q[:, k])) is not None:
+        alias = min(1.0 / abs(1.0 / period + turns / grid) for turns in (1, -1) if abs(1.0 / period + turns / grid) > 0)
+        known.append(f"have a period of {alias:.3g} {unit}, as all its positions are {grid:.3g} {unit} apart: where "
+                     "else it goes no recording says")  # fmt: skip
+    return tuple(known)
+
+
+def grid_of(q: Array) -> float | None:
+    """How far apart positions (N,) stand that are all on a grid, within a twentieth of it; None where they are on none
+    that is coarser than a 4,000th of their travel. Of waves over such a grid nobody can tell which period they have."""
+    span = float(np.ptp(q))
+    turns = np.arange(2, FINEST_GRID + 1)  # both ends of the travel are on it
+    for at in range(0, len(turns), GRIDS):
+        some = turns[at : at + GRIDS, None] / span
+        there = np.abs(np.exp(2j * np.pi * some * (q - q.min())).mean(axis=1)) > ON_A_GRID
+        if there.any():
+            return float(1.0 / some[np.argmax(there), 0])
+    return None
 
 
 def _grown(space: Workspace, tried: Tried, f: Found, others: list[Found], said: float) -> Name | None:

@@ -54,7 +54,8 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
     values, covariance = by_its_own_form(space, candidate, found)
     if found.pulled is not None:
         covariance = covariance + found.pulled @ found.pulled.T
-    candidate = _by_its_thermometer(candidate, values)
+    candidate = _by_its_thermometer(space.context, candidate, values)
+    also = [what for what in found.also if what != f"go with {candidate.covariate}"]
     told = values, covariance
     if candidate.effect == "wrench_error" and (read := by_readings(space.context, candidate)) is not None:
         told = read.values, read.covariance
@@ -82,7 +83,7 @@ def finding(space: Workspace, tried: Tried, found: Found, pieces: Sequence[Found
         "aliases": [alias.as_dict() for alias in aliases],
         "sentence": sentence(space.context, candidate, told[0], rms, beyond)
         + _and_in(tried, candidate, pieces)
-        + (f" It may as well {' or '.join(found.also)}." if found.also else "")
+        + (f" It may as well {' or '.join(also)}." if also else "")
         + alias_words(found.name, aliases),
     }
 
@@ -94,12 +95,14 @@ def _and_in(tried: Tried, candidate: Candidate, pieces: Sequence[Found]) -> str:
     return f" It acts {' and '.join(ways)} too." if candidate.component and ways else ""
 
 
-def _by_its_thermometer(candidate: Candidate, values: Array) -> Candidate:
-    """Of growth by two thermometers the one that it follows more is its covariate."""
+def _by_its_thermometer(c: Context, candidate: Candidate, values: Array) -> Candidate:
+    """Of growth by two thermometers the one by whose swing it moves more is its covariate: a floor's 0.7 K did half of
+    what a column's 3 K did, at more per kelvin (a reviewer's)."""
     places = [column.args.get("place") for column in candidate.columns]
     if candidate.effect != "thermal_growth" or len(set(places)) < 2:
         return candidate
-    return replace(candidate, covariate=f"temp_{places[int(np.argmax(np.abs(values)))]}_C")
+    swings = [float(np.std(column.value(c))) for column in candidate.columns]
+    return replace(candidate, covariate=f"temp_{places[int(np.argmax(np.abs(values) * swings))]}_C")
 
 
 def how_sure(said: Mapping[str, Any]) -> str:

@@ -133,8 +133,11 @@ def test_growth_by_two_thermometers_is_of_the_one_that_it_follows(context: Conte
         if k.effect == "thermal_growth" and len({column.args["place"] for column in k.columns}) == 2
     )  # fmt: skip
     places = [column.args["place"] for column in both.columns]
-    for values, place in (([1e-5, 5e-5], places[1]), ([-5e-5, 1e-5], places[0])):
-        assert _by_its_thermometer(both, np.array(values)).covariate == f"temp_{place}_C"
+    swings = np.array([column.value(context).std() for column in both.columns])
+    for moves, place in (([1.0, 1.1], places[1]), ([-1.1, 1.0], places[0])):
+        values = 1e-5 * np.array(moves) / swings
+        assert _by_its_thermometer(context, both, values).covariate == f"temp_{place}_C"
+    assert swings[1] > 1.1 * swings[0]  # so that the first does more per kelvin in both
 
 
 def test_the_region_of_a_load_is_of_the_one_that_acts_there(context: Context) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from ppshw.diagnosis.modelled import extended
 from ppshw.diagnosis.search import _as_shadows, _in_one, _of_names, _starts, _worth, search
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.shadows import SHADOW, acts_alike, caster_of, same_place
-from ppshw.diagnosis.weights import _also, as_well, weigh
+from ppshw.diagnosis.weights import _also, as_well, grid_of, weigh
 from ppshw.diagnosis.wording import finding
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
@@ -915,6 +916,25 @@ def test_a_second_look_goes_by_the_name_that_was_given_up_and_by_what_stands_for
     given_up = Found(1, ("nameless", None), 0.0, 20.0, was=0)
     assert _seen(tried, [given_up, Found(2, tried.name(2), 0.0, 9.0, read=True)]) == [wave, band]
     assert _seen(tried, [Found(2, tried.name(2), 0.0, 9.0), given_up]) == [jump, wave, band]
+
+
+def test_positions_on_a_grid_do_not_tell_a_wave_s_period_and_that_is_said(space: Workspace) -> None:
+    """A screw of 6 mm was one of 30 mm ± 9 µm, for certain, where setpoints stood 10 mm apart (a reviewer's)."""
+    rng = np.random.default_rng(3)
+    assert grid_of(0.3 + 0.01 * rng.integers(0, 200, 150)) == pytest.approx(0.01)
+    assert grid_of(0.3 + 0.01 * rng.integers(0, 200, 150) + rng.normal(0.0, 2e-4, 150)) == pytest.approx(0.01, rel=2e-3)
+    assert grid_of(rng.uniform(0.3, 2.3, 150)) is None
+    k = space.machine.joint_names.index("lateral")
+    wave = next(c for c in named(space, "periodic_transmission") if c.joint == "lateral" and c.shape["period"] < 0.05)
+    here = copy(space)
+    q = space.recording.q.copy()
+    q[:, k] = np.round(q[:, k], 2)
+    here.recording = replace(space.recording, q=q)
+    for there, says in ((space, False), (here, True)):
+        tried = Tried(space, [wave], 5e-5)
+        tried.space = there
+        said = _also(tried, Found(0, tried.name(0), 0.0, 20.0), np.array([20.0]))
+        assert any("positions are 0.01 m apart" in what for what in said) == says
 
 
 @pytest.mark.parametrize(("aside", "alone"), [(3.0, False), (0.0, True)])
