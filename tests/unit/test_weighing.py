@@ -208,7 +208,7 @@ def test_rivals_without_a_name_are_not_weighed_against_the_readings(
     there = replace(space, context=reading(space.context, read))
     assert reads_other(there.context)
     monkeypatch.setattr(diagnosis, "search", lambda *_: [])
-    tried, _ = diagnosis._look(there, frozenset(), 0, [], {}, lambda k: None)
+    tried, _ = diagnosis._look(there, frozenset(), 0, [], {}, [], lambda k: None)
     rivals = [k for k in tried.candidates if k.effect == "nameless"]
     most = diagnosis.COLUMNS_PER_VISIT * int(there.fit.sum())
     alone = [k for k in nameless(there.context, jumps_of_zeros(there)) if most >= len(k.columns)]
