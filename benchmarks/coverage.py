@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from benchmarks.figures import ROOT, number, table
+from ppshw.calibration import Calibration
 from ppshw.identification.joint import Estimate, estimate
 from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine, load_machine
@@ -48,13 +49,17 @@ def coverage(file: Path, seed: int, visits: int, folder: Path) -> tuple[float, f
     found = estimate(joint_model(machine, known), known)
     true = plant.true_points(unseen.q, unseen.wrench, names=[point])[point]
     inside, score = readings(found, unseen)
-    return predictions(found, machine, unseen, plant.points[point], true), inside, elements(found, plant), score
+    return (
+        predictions(found, machine, unseen, plant.points[point], true),
+        inside,
+        elements(found, Calibration.of(found, known, "joint").std, plant),
+        score,
+    )
 
 
-def elements(found: Estimate, plant: Plant) -> float:
-    """Of the compliances that do not vary; NaN where all do."""
-    more = 0.0 if found.alone is None else found.alone
-    std, at, inside = np.sqrt(np.diag(found.covariance) + more), 0, []
+def elements(found: Estimate, std: Array, plant: Plant) -> float:
+    """Of the compliances that do not vary, by printed deviations (p,); NaN where all do."""
+    at, inside = 0, []
     for term in found.model.terms:
         size = len(term.parameters(found.model.machine.frame_names))
         if isinstance(term, Compliance) and isinstance(term.basis, Constant):
@@ -111,16 +116,10 @@ def main() -> None:
             rows.append([str(visits), *shares, f"{score.mean() / 100:.3f}"])
     command = " ".join(["python -m benchmarks.coverage", *sys.argv[1:]])
     print(f"`{command}`, {given.machine.name}, {seeds} machines: % within 95 %; bar 93 … 97")
-    header = [
-        "visits",
-        "predictions",
-        "least … most",
-        "readings",
-        "least … most",
-        "compliances",
-        "least … most",
-        "log score",
-    ]
+    header = ["visits"]
+    for each in ("predictions", "readings", "compliances"):
+        header += [each, "least … most"]
+    header.append("log score")
     print("\n" + table(header, rows))
 
 

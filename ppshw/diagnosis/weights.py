@@ -68,8 +68,8 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         every, names = tried.said()
         f.also = _also(tried, f, every)
         if (grown := _grown(space, tried, f, others, float(every[f.best]))) is not None:
-            f.also = (f"be a scale about where the file has the instrument and growth of {grown[1]}, which setpoints "
-                      "would be corrected for",)  # fmt: skip
+            f.also = (*f.also, f"be a scale about where the file has the instrument and growth of {grown[1]}, which "
+                      "setpoints would be corrected for")  # fmt: skip
             besides[f.name] = grown
         evidence = names.copy()
         if any(is_both(f, g) for g in others):
@@ -89,8 +89,8 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
         f.weights = {tried.names[j]: float(weights[j]) for j in (*kept, tried.names.index(NAMELESS))}
     take_up(space, tried, found)
     for f in found:
-        other = besides.get(f.name, as_well(space, tried, f))
-        if other is not None and not any(is_both(f, g) for g in found):
+        alone = not any(is_both(f, g) for g in found)
+        if alone and (other := besides.get(f.name) or as_well(space, tried, f)) is not None:
             f.weights[other] = max(f.weights.get(other, 0.0), MAY_BE[other[0]] * f.weights[f.name])
             free = f.weights.pop(NAMELESS)
             total = sum(f.weights.values())
@@ -121,7 +121,7 @@ def _also(tried: Tried, f: Found, every: Array) -> tuple[str, ...]:
     unit = tried.space.machine.joints[k].unit
     known = [f"have a period of {p:.3g} {unit}" for p in sorted(others, key=lambda p: -said[p])[:1]]
     if (grid := grid_of(tried.space.recording.q[:, k])) is not None:
-        alias = min(1.0 / abs(1.0 / period + turns / grid) for turns in (1, -1) if abs(1.0 / period + turns / grid) > 0)
+        alias = 1.0 / (1.0 / period + 1.0 / grid)
         known.append(f"have a period of {alias:.3g} {unit}, as all its positions are {grid:.3g} {unit} apart: where "
                      "else it goes no recording says")  # fmt: skip
     return tuple(known)

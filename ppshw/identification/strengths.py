@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,11 +68,16 @@ class Groups:
             np.array([any(name.startswith(h) for h in held) for name in names], dtype=bool),
         )  # fmt: skip
 
+    @cached_property
+    def bent(self) -> list[str | None]:
+        """Of every group that is an element of a compliance's mean over the travel the joint, None of others."""
+        parts = [parts_of(name) for name in self.names]
+        return [each[1] if each[0] == "compliance" and each[-1] == "line" else None for each in parts]
+
     @property
     def of_compliances(self) -> Mask:
-        """(p,) elements of compliances' means over the travel, each a group by itself."""
-        lines = np.array([name.startswith("compliance.") and parts_of(name)[-1] == "line" for name in self.names])
-        return np.asarray(lines[self.of])
+        """(p,) these elements, each a group by itself."""
+        return np.array([joint is not None for joint in self.bent], dtype=bool)[self.of]
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -182,13 +188,9 @@ def alone(
     stiffer than the middle one.
     """
     wide, out = variances.copy(), np.zeros(len(active))
-    elements = [(g, parts_of(name)) for g, name in enumerate(groups.names)]
-    joints: dict[str, list[int]] = {}
-    for g, parts in elements:
-        if parts[0] == "compliance" and parts[-1] == "line":
-            joints.setdefault(parts[1], []).append(g)
-    loudest = [(variances[these] / groups.start[these] ** 2).max() for these in joints.values()]
-    for these, most in zip(joints.values(), np.maximum(loudest, np.median(loudest or [0.0])), strict=True):
+    joints = [np.array([of == joint for of in groups.bent]) for joint in dict.fromkeys(groups.bent) if joint]
+    loudest = [(variances[these] / groups.start[these] ** 2).max() for these in joints]
+    for these, most in zip(joints, np.maximum(loudest, np.median(loudest or [0.0])), strict=True):
         wide[these] = most * groups.start[these] ** 2
     _, other = learn(gram, moment, groups, active, wide, 0)
     bent = groups.of_compliances[active]
