@@ -68,6 +68,10 @@ NAMED = 1e-3
 WITH_ALL = 6.0
 SURE = 3.0  # standard deviations by which a sign is one that physics denies
 AS_MUCH = 3.0  # by which friction may say more than play of the same joint that is asked in its place
+# What bands of waves say beside a wave, which any function of a position leaves and a period hardly does: beside those
+# of errors linear between knots 10 to 33 % of what the wave said (six of two reviewers'), beside waves of four other
+# authors less than nothing, beside loud ones whose height grows along the travel 2 to 3 %.
+IN_BANDS, IN_BANDS_OF_LOUD = 3.0, 0.05
 SIBLING = 10.0  # by which clearance must say more to stand for a stiffness, or the other way round
 # Any column that changes slowly is a clock too: that the base moves by it costs a drift its name only where it says so
 # much more (an air's pressure said 49.7 and a base that wanders 49.0; 38062).
@@ -169,7 +173,7 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
     # Of many near forms what it says by its bare one alone; but where reflectors are the base model may say, too.
     if every < WITH_ALL and (f.name[0] != "target_moved" or space.machine.tracker.targets_known):
         every = max(every, _bare(space, tried, f, others, pieces))
-    behind = not leads or against or every < WITH_ALL or f.p > NAMED
+    behind = not leads or against or every < WITH_ALL or f.p > NAMED or _has_no_period(tried, f, own, others, pieces)
     if stands := not (behind or _beside_a_riddle(tried, f, others)):
         return _Answer(own, rival, best, stands)
     best = tried.strongest(evidence, freely)  # what means the same as the name, too, says over which columns it goes
@@ -380,6 +384,23 @@ def _bends_as_it_needs(tried: Tried, f: Found, pieces: Sequence[Found]) -> bool:
     here = mine.frame, mine.component, mine.covariate
     forms = (tried.candidates[g.best] for g in pieces)
     return f.name[0] in OF_A_LOAD and all((k.frame, k.component, k.covariate) == here for k in forms)
+
+
+def _has_no_period(tried: Tried, f: Found, own: float, others: list[Found], pieces: Sequence[Found]) -> bool:
+    """Whether a wave leaves bands of waves over its position, in its component: an error of a joint that is any
+    function of its position has a strongest wave, and about as much at other periods. The others are then taken up.
+
+    own  what the wave says by its bare form
+    """
+    mine, space = tried.candidates[f.best], tried.space
+    if mine.effect != "periodic_transmission":
+        return False
+    take_up(space, tried, [*others, *pieces, replace(f, more=(), size=0.0) if f.more else f])
+    evidence = tried.said()[0]
+    take_up(space, tried, others)
+    rivals = (k for k, c in enumerate(tried.candidates) if c.effect == "nameless" and of_its_kind(mine, c))
+    bands = [float(evidence[k]) for k in rivals]
+    return bool(bands) and logsumexp(bands) - math.log(len(bands)) > max(IN_BANDS, IN_BANDS_OF_LOUD * own)
 
 
 def _left_by(tried: Tried, f: Found, g: Found) -> bool:

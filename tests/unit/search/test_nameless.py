@@ -81,6 +81,33 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_an_error_that_has_no_period_is_no_wave(space: Workspace, seed: int) -> None:
+    """Linear between knots (a reviewer's; six of thirteen were waves): it has a strongest one."""
+    joint = space.machine.joint_names.index("longitudinal")
+    q = space.recording.q[:, joint]
+    knots = np.linspace(q.min(), q.max(), 18)
+    course = np.interp(q, knots, np.random.default_rng(seed).normal(size=len(knots)))
+    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * course[:, None]
+    there = having_read(space, space.data + of_size(space, moved, 2.0))
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert {f.name for f in found} == {("nameless", None)}
+    assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
+
+
+@pytest.mark.parametrize("times", [1.0, 8.0])
+def test_a_wave_that_grows_along_its_travel_has_a_period(space: Workspace, times: float) -> None:
+    joint = space.machine.joint_names.index("longitudinal")
+    q = space.recording.q[:, joint]
+    u = (q - q.min()) / np.ptp(q)
+    course = (0.3 + u) * np.sin(2 * np.pi * 9.3 * u)
+    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * course[:, None]
+    there = having_read(space, space.data + of_size(space, moved, times))
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert [f.name for f in found] == [("periodic_transmission", "longitudinal")]
+    assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(9.3, abs=0.25)
+
+
 @pytest.mark.parametrize(("at", "component"), [(0.41, 1), (-0.27, 5)])
 def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     space: Workspace, at: float, component: int
