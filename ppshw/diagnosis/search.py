@@ -9,22 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from ppshw.diagnosis.as_read import as_read, as_weighed_alone, surely_reads_other
 from ppshw.diagnosis.evidence import (
     FIRST,
     FURTHER,
     LEAST_FIRST,
     LEAST_FURTHER,
-    LEAST_P,
     MORE,
     Name,
     Tried,
     corrected_residual,
     p_value,
 )
-from ppshw.diagnosis.found import Found, against_riddles, by_its_own_form, explained, pieces_of, take_up
+from ppshw.diagnosis.found import Found, against_riddles, explained, pieces_of, take_up
 from ppshw.diagnosis.kinship import OF_A_LOAD
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.library.weighing import may_be_pulled, surely_misread
 from ppshw.diagnosis.serial import drop_what_noise_may_be
 from ppshw.diagnosis.shadows import SAME_EFFECT, SHADOW, at_once, caster_of, of_a_riddle, same_place
 from ppshw.diagnosis.standing import drop_what_others_explain, drop_what_riddles_leave, give_up
@@ -47,7 +46,6 @@ STARTS, JOINTS, LOUD, ANOTHER_START = 3, 3, 0.25, 3.0
 EACH_MORE = 6.0
 FEWER = 2  # findings less: then nothing counts against those without a name
 FREE = 6  # columns of a form that may stand for two effects: a base that wanders in all directions
-MISREAD, SURELY = 0.5, 3.0  # share of what no payload weighs that a sensor misreads; standard deviations
 ROUNDS = 3  # of putting names to the question again
 
 
@@ -130,23 +128,13 @@ def _as_shadows(space: Workspace, tried: Tried, found: list[Found]) -> None:
 def _add_what_is_read(space: Workspace, tried: Tried, found: list[Found]) -> None:
     """The force sensor's error, where its readings surely show one that moves reflectors and nothing else was found of
     it: deflections may tell little of an error that the base model's compliances were learnt with (of a few hundred
-    newtons another author's 49049 had √λ 4.7 left). Where they surely say that it is not, and something may have pulled
-    at the loads besides gravity, it did (in two clean recordings of another author's 0.003 ± 0.07 and −0.31 ± 0.25 of
-    it were misread). What it explains is no other finding."""
-    whole = (k for k, c in enumerate(tried.candidates) if c.columns[0].function == "weighed")
-    best = next((k for k in whole if np.isfinite(tried.log_share[k])), None)
-    if best is None or tried.name(best) in [f.name for f in found] or not surely_misread(space.context):
+    newtons another author's 49049 had √λ 4.7 left). What it explains is no other finding."""
+    best = as_weighed_alone(tried)
+    if best is None or tried.name(best) in [f.name for f in found] or not surely_reads_other(space, tried, found):
         return
     take_up(space, tried, found)
-    first = float(tried.said()[0][best])
-    read = Found(best, tried.name(best), LEAST_P, first, first=first, read=True)
-    take_up(space, tried, [*found, read])
-    values, covariance = by_its_own_form(space, tried.candidates[best], read)
-    denied = values[0] < MISREAD and 1.0 - values[0] > SURELY * np.sqrt(covariance[0, 0])
-    if denied and may_be_pulled(space.context):
-        take_up(space, tried, found)
-        return
-    found.append(read)
+    found.append(as_read(tried, best))
+    take_up(space, tried, found)
     drop_what_others_explain(space, tried, found)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from ppshw.diagnosis.as_read import surely_reads_other
 from ppshw.diagnosis.evidence import HANDICAP, LEAST_FURTHER, Name, Tried
 from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, coefficients, pieces_of, take_up
 from ppshw.diagnosis.kinship import (
@@ -26,7 +27,6 @@ from ppshw.diagnosis.kinship import (
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.lost_motion import SOFTEST_KNOWN
 from ppshw.diagnosis.library.sampled import called, within
-from ppshw.diagnosis.library.weighing import surely_misread
 from ppshw.diagnosis.shadows import SHADOW, goes_with_a_load, same_place
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
@@ -93,9 +93,12 @@ def give_up(space: Workspace, tried: Tried, found: list[Found]) -> None:
             cause = f.name[0], tried.candidates[f.best].covariate
             if f.name[0] == "nameless" or f.name in stand:
                 continue
-            if f.name[0] == "wrench_error" and surely_misread(space.context):  # whatever goes with a load as well
-                stand.add(f.name)
-                continue
+            if f.name[0] == "wrench_error":  # whatever goes with a load as well
+                sure = surely_reads_other(space, tried, [g for g in found if g is not f])
+                take_up(space, tried, found)
+                if sure:
+                    stand.add(f.name)
+                    continue
             if f.p <= NAMED and (both := _as_both(space, tried, f, found, freely)):
                 names = {g.name for g in both}
                 found[:] = [*(g for g in found if g.name not in names), *both]
@@ -400,7 +403,8 @@ def _has_no_period(tried: Tried, f: Found, own: float, others: list[Found], piec
     take_up(space, tried, others)
     rivals = (k for k, c in enumerate(tried.candidates) if c.effect == "nameless" and of_its_kind(mine, c))
     bands = [float(evidence[k]) for k in rivals]
-    return bool(bands) and logsumexp(bands) - math.log(len(bands)) > max(IN_BANDS, IN_BANDS_OF_LOUD * own)
+    most = max(IN_BANDS, IN_BANDS_OF_LOUD * own)
+    return bool(bands) and float(logsumexp(bands)) - math.log(len(bands)) > most
 
 
 def _left_by(tried: Tried, f: Found, g: Found) -> bool:

@@ -192,7 +192,7 @@ def test_an_error_of_the_sensor_that_readings_surely_show_is_not_given_up(
     sensor = next(sensor_errors(space.context))
     tried = Tried(space, [sensor, named(space, "nameless")[0]], 5e-5)
     name = ("wrench_error", None)
-    monkeypatch.setattr(standing, "surely_misread", lambda _: sure)
+    monkeypatch.setattr(standing, "surely_reads_other", lambda *_: sure)
     monkeypatch.setattr(standing, "_asked", lambda *_: standing._Answer(9.0, 12.0, 1, False))
     found = [Found(0, name, 1e-9, 9.0, first=9.0)]
     standing.give_up(space, tried, found)

@@ -661,23 +661,27 @@ def test_a_slow_creep_may_be_four_or_sixteen_times_as_slow_as_the_fast_one(space
     assert ratios == [{8}, {4, 8, 16}]
 
 
-def test_what_pulls_the_same_way_in_space_and_bends_the_machine_is_no_error_of_the_sensor(
-    space: Workspace, tared_anew: Workspace
+@pytest.mark.parametrize("turns", [False, True])
+def test_what_pulls_besides_gravity_and_bends_the_machine_is_no_error_of_the_sensor(
+    space: Workspace, tared_anew: Workspace, turns: bool
 ) -> None:
-    """A weight over a pulley was one in two clean recordings (another author's): no rigid payload reads so."""
+    """A weight over a pulley was one in two clean recordings (another author's), a force along the flange's own axes,
+    which turns with them, in two of another's: no rigid payload reads so."""
     assert not may_be_pulled(tared_anew.context)
     c = space.context
     load = np.array(c.recording.load)
     most = max(set(c.recording.load), key=c.recording.load.count)
     pull = np.where((load == most)[:, None], np.array([800.0, 0.0, 0.0]), 0.0)
-    more = np.einsum("nij,nj->ni", np.stack(_base_axes_at_sensor(c), axis=2), pull)
+    each = {label: 2000.0 * way for label, way in zip(sorted(set(load)), np.random.default_rng(2).normal(size=(99, 3)))}
+    along_the_flange = np.array([each[label] for label in load])
+    more = along_the_flange if turns else np.einsum("nij,nj->ni", np.stack(_base_axes_at_sensor(c), axis=2), pull)
     more = np.concatenate([more, np.cross([0.1, 0.3, 1.0], more)], axis=1)
     recording = replace(c.recording, wrench=c.recording.wrench + more)
     model, theta = space.base.model, space.base.theta
     rigid, pulled = (model.linearise(Situation.of(r), theta).positions for r in (c.recording, recording))
     read = prepare(space.machine, replace(recording, points=recording.points + pulled - rigid), space.fit)
     assert surely_misread(read.context)
-    assert may_be_pulled(read.context)
+    assert may_be_pulled(read.context) is not turns
     some = [k for k in library(read.context) if k.effect == "wrench_error"]
     tried = Tried(read, some + named(space, "nameless")[:40], 5e-5)
     assert search(read, tried, np.random.default_rng(0)) == []
