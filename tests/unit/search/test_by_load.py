@@ -672,8 +672,8 @@ def test_what_pulls_besides_gravity_and_bends_the_machine_is_no_error_of_the_sen
     load = np.array(c.recording.load)
     most = max(set(c.recording.load), key=c.recording.load.count)
     pull = np.where((load == most)[:, None], np.array([800.0, 0.0, 0.0]), 0.0)
-    each = {label: 2000.0 * way for label, way in zip(sorted(set(load)), np.random.default_rng(2).normal(size=(99, 3)))}
-    along_the_flange = np.array([each[label] for label in load])
+    forces = 2000.0 * np.random.default_rng(2).normal(size=(len(set(load)), 3))
+    along_the_flange = forces[np.unique(load, return_inverse=True)[1]]
     more = along_the_flange if turns else np.einsum("nij,nj->ni", np.stack(_base_axes_at_sensor(c), axis=2), pull)
     more = np.concatenate([more, np.cross([0.1, 0.3, 1.0], more)], axis=1)
     recording = replace(c.recording, wrench=c.recording.wrench + more)
