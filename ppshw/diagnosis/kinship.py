@@ -41,17 +41,20 @@ FALLS = frozenset({"load_side", "load_side_held"})  # to one side or the other, 
 READ = frozenset({"sensor_error", "weighed"})  # functions of what the force sensor read, or should have
 SHIFTS = COMPONENTS[:3]
 HARDLY_TURNS = 0.15  # rad: what grows by 10 µm goes 1.5 µm aside
+ONE_AXIS = 1e-3  # m and rad by which two axes may be apart that are one
 
 
 @dataclass(frozen=True)
 class Unturned:
     """What points the same way in the base wherever the machine stands: frames behind no revolute joint, the base's
     first; shifts along an axis of any frame, (frame, component), and links, by the joint that they are behind, that no
-    joint's travel turns by much: a turn about an axis leaves what points along it as it was."""
+    joint's travel turns by much: a turn about an axis leaves what points along it as it was. turns: of a first joint
+    that turns about an axis of the base, through its origin, its (frame, component) and the base's, which are one."""
 
     frames: tuple[str, ...] = ()
     shifts: frozenset[tuple[str, str]] = frozenset()
     links: frozenset[int] = frozenset()
+    turns: frozenset[tuple[str, str]] = frozenset()
 
 
 def of_its_kind(
@@ -77,6 +80,7 @@ def of_its_kind(
             return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
         case "zero_shift":
             there = here or (_alike(named, rival, unturned) and named.component == rival.component)
+            there = there or {(k.frame, k.component) for k in (named, rival)} <= unturned.turns
             return there and all(column.function in JUMPS for column in rival.columns)
         case "thermal_growth":
             plain = {name.split("_", 2)[2] if name.startswith("late_") else name for name in over}
@@ -209,4 +213,18 @@ def never_turned(machine: Machine) -> Unturned:
             if stays(frame, way)
         ),
         frozenset(k for k, link in enumerate(links) if stays(k + 1, link[:3, 3])),
+        _turns_of_the_base(machine),
     )
+
+
+def _turns_of_the_base(machine: Machine) -> frozenset[tuple[str, str]]:
+    """A first joint's (frame, component) and the base's, where it turns about one of the base's axes."""
+    first = machine.joints[0]
+    way, at = first.origin[:3, :3] @ first.axis, first.origin[:3, 3]
+    of_base, own = int(np.argmax(np.abs(way))), int(np.argmax(np.abs(first.axis)))
+    aside = float(np.linalg.norm(at - (at @ way) * way))
+    askew = [1.0 - float(np.abs(v).max()) for v in (way, first.axis)]
+    if first.prismatic or aside > ONE_AXIS or max(askew) > ONE_AXIS**2:
+        return frozenset()
+    base, frame = machine.frame_names[:2]
+    return frozenset({(base, COMPONENTS[3 + of_base]), (frame, COMPONENTS[3 + own])})

@@ -176,10 +176,13 @@ def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
     Friction play between soft walls: of a joint that loses a large part of its way after it turned back, or takes up
     what it lost over a very small part of its travel. No form tells the two apart, only how much is lost, and that not
     surely. A joint that falls to its other side a stiffness, and the other way round, where it does so softly. A jump
-    of a rail that nothing before it turns one of the base, which only fixed monuments tell.
+    of a rail that nothing before it turns one of the base, or of a first joint that turns about an axis of the base,
+    which only fixed monuments tell.
     """
     candidate = tried.candidates[f.best]
-    if candidate.effect == "zero_shift" and candidate.joint in never_turned(space.machine).frames[1:]:
+    unturned = never_turned(space.machine)
+    of_base = candidate.joint in unturned.frames[1:] or (candidate.frame, candidate.component) in unturned.turns
+    if candidate.effect == "zero_shift" and of_base:
         return ("drift", None) if ("drift", None) in tried.names else None
     if candidate.effect in OF_A_LOAD:
         first, sibling = candidate.columns[0], (next(iter(OF_A_LOAD - {candidate.effect})), candidate.joint)

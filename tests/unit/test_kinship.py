@@ -6,6 +6,7 @@ import itertools
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ppshw.diagnosis.kinship import (
@@ -138,6 +139,8 @@ def test_what_points_along_an_axis_is_not_turned_about_it() -> None:
     assert found.links == set(range(6))  # those from yaw on are upright
     arm = never_turned(load_machine(Path(__file__).parents[2] / "machines/arm6.yaml"))
     assert arm.frames == ("base",)
+    assert arm.turns == {("base", "rz"), ("waist", "rz")}
+    assert found.turns == frozenset()  # a rail
     assert {shift for shift in arm.shifts if shift[0] != "base"} == {("waist", "tz")}
     assert arm.links == frozenset()
     column, base = Column("frames", "link_growth", {"joint": 3}), Column("frame", "covariate", {"count": 3}, 0, 1)
@@ -152,6 +155,22 @@ def test_what_points_along_an_axis_is_not_turned_about_it() -> None:
     for name, kin in (("temp_air_C", True), ("late_1_temp_rail_C", True), ("time", False), ("q_vertical", False)):
         assert of_its_kind(post, replace(shifts, covariates=(name,)), found) == kin
     assert counts(pillar, replace(shifts, covariates=("time",)), found) == 1.0
+
+
+def test_a_jump_of_a_first_joint_that_turns_about_the_base_s_axis_is_one_of_the_base() -> None:
+    """It had lost its name to that (a fifty-eighth author's 003)."""
+    machine = load_machine(Path(__file__).parents[2] / "machines/arm6.yaml")
+    named = _named("zero_shift", "waist", "waist", "rz", "time")
+    of_base = _rival("base", "rz", "time", function="step")
+    assert of_its_kind(named, of_base, never_turned(machine))
+    assert not of_its_kind(named, _rival("base", "ry", "time", function="step"), never_turned(machine))
+    first, *others = machine.joints
+    askew = np.array([[1.0, 0.0, 0.0], [0.0, 0.9, -0.43589], [0.0, 0.43589, 0.9]])
+    origins = {"aside": first.origin + 0.1 * np.eye(4, k=3), "askew": first.origin.copy()}
+    origins["askew"][:3, :3] = askew
+    for origin in origins.values():
+        elsewhere = replace(machine, joints=(replace(first, origin=origin), *others))
+        assert not of_its_kind(named, of_base, never_turned(elsewhere))
 
 
 def test_what_grows_everywhere_may_grow_more_where_a_joint_stands() -> None:
