@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import corrected_residual
+from ppshw.diagnosis.library.sampled import nearest_component
 from ppshw.diagnosis.weights import OUTSIDE
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
@@ -25,6 +26,9 @@ PERMUTATIONS = 1999
 # How much more some visits must swing than others beside other findings: of eight authors' recordings scatter that was
 # there beside an effect has 1.97 to 15, and what six effects' forms and wrong visits left 1.26 to 1.82.
 BESIDE = 1.9
+# How likely a joint swings in its own direction, where its drive is, and how likely the base does, beside any joint;
+# and the probability from which on a joint is named.
+ALONG_ITS_WAY, OF_THE_BASE, SURELY = 0.9, 0.2, 0.9
 SWINGS = tuple(np.geomspace(0.1, 100.0, 16).tolist())  # mean square of a swing, in units of the noise
 
 
@@ -94,9 +98,14 @@ def scatter_of(
     swing = max((found for found in swings if found is not None), key=lambda found: found.gain, default=None)
     if swing is None or swing.gain - np.log(swing.tried) < _gain_of(space, residual, spread):
         return Scatter(finding, np.eye(space.rows) / spread[:, None, None])
-    # which of several frames that move the end effector nearly alike is a guess, so no joint is named
-    said = {"frame": space.machine.frame_names[swing.frame], "component": COMPONENTS[swing.component]}
-    where = f"; it swings most nearly as {said['frame']} {said['component']} would: noise"
+    if (whose := _whose(space, swing.gains)) is None:
+        # which of several frames that move the end effector nearly alike is a guess, so no joint is named
+        said = {"frame": space.machine.frame_names[swing.frame], "component": COMPONENTS[swing.component]}
+        where = f"; it swings most nearly as {said['frame']} {said['component']} would: noise"
+    else:
+        joint = space.machine.joint_names[whose[0]]
+        said = {"joint": joint, "frame": joint, "component": COMPONENTS[whose[1]]}
+        where = f"; {joint} swings, in {said['component']}: noise"
     return Scatter({**finding, **said, "sentence": finding["sentence"].replace(": noise", where)}, swing.calming)
 
 
@@ -199,13 +208,15 @@ def _stem(column: str) -> str:
 
 @dataclass(frozen=True)
 class _Swing:
-    """Where a link swings, how much likelier that is than even noise (log), of how many tried; calming as `Scatter`."""
+    """Where a link swings, how much likelier that is than even noise (log), of how many tried; gains (n+1, 6) of every
+    component of every frame; calming as `Scatter`."""
 
     frame: int
     component: int
     gain: float
     tried: int
     calming: Array
+    gains: Array
 
 
 def _swing(space: Workspace, along: Array, residual: Array, size: Array) -> _Swing | None:
@@ -233,7 +244,22 @@ def _swing(space: Workspace, along: Array, residual: Array, size: Array) -> _Swi
     # the noise was learnt with the swinging in it
     calm = np.einsum("nij,nj->ni", calming[space.fit], residual)
     calming /= np.sqrt((calm**2).sum() / (3 * space.recording.seen[space.fit].sum()))
-    return _Swing(frame, component, float(gains.max()), gains.size, calming)
+    return _Swing(frame, component, float(gains.max()), gains.size, calming, gains.max(axis=0))
+
+
+def _whose(space: Workspace, gains: Array) -> tuple[int, int] | None:
+    """The joint whose swinging is likelier than that of all others and of the base together, and the component of its
+    frame; None where it is not surely. gains (n+1, 6) log likelihoods by which each component's swinging is ahead of
+    even noise."""
+    prior = np.full(gains.shape, (1.0 - ALONG_ITS_WAY) / 5)
+    for k in range(len(prior) - 1):
+        prior[k + 1, nearest_component(space.context, k)] = ALONG_ITS_WAY
+    prior[0] = OF_THE_BASE / 6
+    likely = np.log(prior) + gains
+    likely = np.exp(likely - likely.max())
+    of_each = likely.sum(axis=1) / likely.sum()
+    frame = int(np.argmax(of_each))
+    return None if frame == 0 or of_each[frame] < SURELY else (frame - 1, int(np.argmax(likely[frame])))
 
 
 def _gain_of(space: Workspace, residual: Array, spread: Array) -> float:
