@@ -40,8 +40,8 @@ def doubt(c: Context) -> str:
     if not (said := against_gravity(c)):
         return ""
     return (
-        f"the force sensor reads other than what hangs there weighs, {said}: is its zero or a gain off, or are several "
-        "payloads of one label?"
+        f"the force sensor reads other than what hangs there weighs, {said}: is its zero or a gain off, are several "
+        "payloads of one label, or does something besides gravity pull at them?"
     )
 
 
