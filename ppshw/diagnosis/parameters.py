@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.found import LOST_MOTION
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.parameter_names import load_unit, shape_unit, told_of, unit_of
@@ -88,6 +89,15 @@ def along_its_axis(c: Context, candidate: Candidate) -> Array:
     if own != ALONG:
         out[[column.component == own for column in candidate.columns]] = np.sign(c.machine.own_ways[joint, own])
     return out
+
+
+def runs_ahead(c: Context, candidate: Candidate, along: Array) -> bool:
+    """Whether what joint and drive lose to each other carries the joint on, which no drive does: of what goes along its
+    own way. along (k,): the coefficients, by `along_its_axis`."""
+    if candidate.effect not in LOST_MOTION or candidate.joint is None:
+        return False
+    own = own_component(c, c.machine.joint_names.index(candidate.joint))
+    return bool(candidate.columns[0].component == own and along[0] > 0)
 
 
 def of_one_wave(one: float | None, other: float | None) -> bool:

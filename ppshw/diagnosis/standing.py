@@ -27,6 +27,7 @@ from ppshw.diagnosis.kinship import (
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.lost_motion import SOFTEST_KNOWN
 from ppshw.diagnosis.library.sampled import called, within
+from ppshw.diagnosis.parameters import along_its_axis, runs_ahead
 from ppshw.diagnosis.shadows import SHADOW, goes_with_a_load, same_place
 from ppshw.diagnosis.workspace import Workspace
 from ppshw.terms import COMPONENTS
@@ -153,8 +154,9 @@ def _asked(space: Workspace, tried: Tried, f: Found, found: list[Found], freely:
     if not pieces:
         _as_its_sibling(space, tried, f, others)
     against = _against_physics(space, tried, f)
+    carried_on = _runs_ahead(space, tried, f, others, pieces)
     own, every, evidence = _by_itself(space, tried, f, others, pieces)
-    rival, best = _other_than(tried, f, evidence, freely)
+    rival, best = _other_than(tried, f, evidence, freely, fully=carried_on)
     by_bare = own
     if pieces and not _bends_as_it_needs(tried, f, pieces):
         by_bare = max(own, _bare(space, tried, f, others, pieces))
@@ -289,11 +291,14 @@ def drop_what_riddles_leave(space: Workspace, tried: Tried, found: list[Found]) 
     take_up(space, tried, found)
 
 
-def _other_than(tried: Tried, f: Found, evidence: Array, freely: int, in_one: bool = False) -> tuple[float, int]:
+def _other_than(
+    tried: Tried, f: Found, evidence: Array, freely: int, in_one: bool = False, fully: bool = False
+) -> tuple[float, int]:
     """What rivals without a name say that are not by what they mean the finding's own effect, for the evidence (C,) of
     all candidates; and the strongest of them.
 
     in_one  of those alone that act in one component
+    fully   all of what they say counts, be they nearly the same motion as the finding's
     """
     mine, machine = tried.candidates[f.best], tried.space.machine
     unturned, inside = never_turned(machine), within(machine)
@@ -304,7 +309,9 @@ def _other_than(tried: Tried, f: Found, evidence: Array, freely: int, in_one: bo
         if not any(of_its_kind(form, tried.candidates[j], unturned, inside, both) for form in forms)
         and not (in_one and tried.candidates[j].component is None)
     ])  # fmt: skip
-    counted = np.array([min(counts(form, tried.candidates[j], unturned) for form in forms) for j in others])
+    counted = np.array([
+        1.0 if fully else min(counts(form, tried.candidates[j], unturned) for form in forms) for j in others
+    ])  # fmt: skip
     if mine.effect == "friction_hysteresis":  # nearly the same motion of another frame says no more of how it winds up
         wound = np.array([winds_up(mine, tried.candidates[j]) for j in others])
         here = np.max(evidence[others], where=wound & (counted < 1.0), initial=-math.inf)
@@ -415,6 +422,19 @@ def _left_by(tried: Tried, f: Found, g: Found) -> bool:
     mine, other = tried.candidates[f.best], tried.candidates[g.best]
     alike = f.name[0] == g.name[0] and mine.covariate == other.covariate
     return g.first < SHADOW * f.first and (alike or (g.name[0] == "nameless" and same_place(mine, other)))
+
+
+def _runs_ahead(space: Workspace, tried: Tried, f: Found, others: list[Found], pieces: Sequence[Found]) -> bool:
+    """Whether a joint's lost motion surely carries it on: no drive does that, but a cable that drags a carriage askew
+    may seem to (a fifty-ninth author's 053: 578 of log evidence, and 591 across). All are then taken up."""
+    candidate = tried.candidates[f.best]
+    if candidate.effect != "backlash":
+        return False
+    take_up(space, tried, [*others, *pieces, f], and_look=False)
+    values, covariance = by_its_own_form(space, candidate, f)
+    along = along_its_axis(space.context, candidate)
+    surely = abs(float(values[0])) > SURE * float(np.sqrt(covariance[0, 0]))
+    return surely and runs_ahead(space.context, candidate, values * along)
 
 
 def _against_physics(space: Workspace, tried: Tried, f: Found) -> bool:

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import Tried
-from ppshw.diagnosis.found import LOST_MOTION, Found, by_its_own_form, moved_by
+from ppshw.diagnosis.found import Found, by_its_own_form, moved_by
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.jumps import ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.library.weighing import by_readings
 from ppshw.diagnosis.nameless.rival import most_alike
 from ppshw.diagnosis.parameter_names import rocks, shape_unit
-from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, scale_holds_at
+from ppshw.diagnosis.parameters import along_its_axis, courses, numbers_of, runs_ahead, scale_holds_at
 from ppshw.diagnosis.sensor_words import against_gravity, turned
 from ppshw.diagnosis.visibility import NEVER, alias_words, aliases_of, is_told_apart
 from ppshw.diagnosis.weights import as_well
@@ -249,7 +249,7 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
     rotary = (candidate.component or "t").startswith("r")
     unit = "mrad" if rotary else "mm"
     amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_by_its_load(candidate, values, unit)}"
-    ahead = ", which lags: is a sign turned?" if _runs_ahead(c, candidate, values) else ""
+    ahead = ", which lags: is a sign turned?" if runs_ahead(c, candidate, values) else ""
     if candidate.effect == "target_moved":
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
@@ -282,15 +282,6 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
     }
     return texts[candidate.effect]
-
-
-def _runs_ahead(c: Context, candidate: Candidate, values: Array) -> bool:
-    """Whether what joint and drive lose to each other carries the joint on, which no drive does: of what goes along its
-    own way."""
-    if candidate.effect not in LOST_MOTION or candidate.joint is None:
-        return False
-    own = own_component(c, c.machine.joint_names.index(candidate.joint))
-    return bool(candidate.columns[0].component == own and values[0] > 0)
 
 
 def _lets_go(candidate: Candidate) -> str:
