@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import _lost, weights
-from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis import _lost, standing, weights
+from ppshw.diagnosis.evidence import HANDICAP, Tried
 from ppshw.diagnosis.forms import near_forms
+from ppshw.diagnosis.found import Found
+from ppshw.diagnosis.kinship import ALWAYS
 from ppshw.diagnosis.library import library
 from ppshw.diagnosis.library.lost_motion import SOFTEST_KNOWN
 from ppshw.diagnosis.library.sampled import own_component
@@ -325,3 +327,32 @@ def test_where_friction_and_play_say_as_much_play_is_asked_before_both_lose_thei
     found, _ = look(moved_by(space, lag, -times), ["backlash", "friction_hysteresis"], "longitudinal")
     assert [f.name for f in found] == [("backlash", "longitudinal")]
     assert found[0].weights[("friction_hysteresis", "longitudinal")] > 0.1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_carries_its_joint_on_gives_way_to_whatever_says_more(
+    space: Workspace, sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cable that drags a carriage askew said 578 as play and 591 across (a fifty-ninth author's); of play that lags
+    the same motion is most of it, let go sideways."""
+    there = moved_by(space, on_joint(space, "approach"), 3.0 * sign * float(np.sign(_own_way(space))))
+    play = next(k for k in named(space, "backlash") if k.joint == NAME and len(k.columns) == 1 and not k.shape)
+    across = next(
+        k for k in named(space, "nameless")
+        if k.covariates[0] == f"approach_{NAME}" and len(k.covariates) == 2 and k.component != play.component
+    )  # fmt: skip
+    tried = Tried(there, [play, across], 5e-5)
+    freely, said = tried.names.index(("nameless", None)), tried.said
+    monkeypatch.setattr(tried, "said", lambda: (np.array([100.0, 110.0]), said()[1]))
+    monkeypatch.setattr(tried, "log_share", np.zeros(2))
+    f = Found(0, ("backlash", NAME), 1e-12, 100.0, first=100.0)
+    assert standing._runs_ahead(there, tried, f, [], []) is (sign > 0)
+    assert standing._asked(there, tried, f, [f], freely).rival == pytest.approx(
+        HANDICAP * 110.0 * (1.0 if sign > 0 else ALWAYS)
+    )
+
+
+def _own_way(space: Workspace) -> float:
+    """Which way a joint's own axis points along the component of its frame that it moves in."""
+    k = space.machine.joint_names.index(NAME)
+    return float(space.machine.own_ways[k, own_component(space.context, k)])
