@@ -305,6 +305,17 @@ def test_channels_of_the_force_sensor_that_are_exchanged(
     assert np.array_equal(mended.wrench, recording.wrench)
 
 
+def test_a_force_that_leaks_into_a_moment_is_no_exchange_of_moments(case: tuple[Machine, Recording]) -> None:
+    """It was of the positioner, with My and Mz (and of a fifty-ninth author's, with Mx and Mz): another pair did nearly
+    as well."""
+    machine, recording = case
+    wrench = recording.wrench.copy()
+    wrench[:, 4] += 3.0 * wrench[:, 1]
+    same, found = plain_mistakes(machine, replace(recording, wrench=wrench))
+    assert found == []
+    assert np.array_equal(same.wrench, wrench)
+
+
 def test_moments_that_are_exchanged_show_under_one_label_too(case: tuple[Machine, Recording]) -> None:
     machine, recording = case
     label = max(set(recording.load), key=lambda load: np.abs(recording.wrench[np.array(recording.load) == load]).max())
