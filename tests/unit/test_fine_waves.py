@@ -71,6 +71,9 @@ def test_it_has_a_name_that_says_which_way_and_structure_where_the_name_is_taken
         assert tried.names[int(np.argmax(names))] == ("nameless", None)
         riddle = tried.candidates[int(np.argmax(evidence + tried.log_share))]
         assert riddle.covariates == (f"q_{clean.machine.joint_names[RAIL]}",)
+        # a second look asks out of bands of waves, of which it is none
+        again = library(space.context, bands=[riddle], fine_waves=waves)
+        assert len(again) == len(library(space.context, fine_waves=waves))
     assert "along its own travel: a screw" in said[0]
     assert "across its own travel" in said[1]
 

@@ -77,6 +77,8 @@ def periodic_across(c: Context, bands: Sequence[Candidate]) -> Iterator[Candidat
     """A bent screw or shaft turns the carriage about: single waves out of bands of them."""
     for band in bands:
         frequencies = sorted({1 / column.args["period"] for column in band.columns})
+        if len(frequencies) == 1:  # a fine wave without its name, which its residual lays anew
+            continue
         step = (frequencies[-1] - frequencies[0]) / (len(frequencies) - 1) / 4
         tried = np.arange(frequencies[0] - 2 * step, frequencies[-1] + 3 * step, step)
         first = band.columns[0]
