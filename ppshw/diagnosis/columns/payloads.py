@@ -26,7 +26,7 @@ LEVER_M = 20.0
 MOST_KN, LEAST_N = 5.0, 10.0
 ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, whatever a sensor's zero adds [rad]
 # Times as unlike a payload as two exchanged columns set right the next best two leave a wrench: 4 and more of 378 that
-# were exchanged in six authors' recordings, 1.5 of one whose channel reads a third of another's besides (036 of the
+# were exchanged in six authors' recordings, 1.5 of one whose Mz reads 0.86 m times Fz besides (036 of the
 # fifty-ninth's).
 ONE_PAIR = 2.5
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
