@@ -149,9 +149,9 @@ def stranger_than(named: Candidate, rival: Candidate) -> bool:
 
 def of_a_load(finding: Candidate) -> int | None:
     """The component of the wrench that a finding gives way to out of proportion, by a name or without one."""
-    covariate = finding.covariate
-    if finding.effect == "nameless" and len(finding.covariates) == 1 and finding.covariates[0].startswith("on_"):
-        covariate = finding.covariates[0].rsplit("_", 1)[1]
+    covariate, over = finding.covariate, {name.removeprefix("previous_") for name in finding.covariates}
+    if finding.effect == "nameless" and len(over) == 1 and min(over).startswith("on_"):
+        covariate = min(over).rsplit("_", 1)[1]
     elif finding.effect not in OF_A_LOAD:
         return None
     return WRENCH_COMPONENTS.index(covariate) if covariate in WRENCH_COMPONENTS else None

@@ -17,11 +17,12 @@ from ppshw.diagnosis.kinship import (
     Unturned,
     counts,
     never_turned,
+    of_a_load,
     of_its_kind,
     stranger_than,
 )
 from ppshw.diagnosis.library import Candidate
-from ppshw.machine import load_machine
+from ppshw.machine import WRENCH_COMPONENTS, load_machine
 from ppshw.terms.shapes import Column
 
 
@@ -171,6 +172,16 @@ def test_a_jump_of_a_first_joint_that_turns_about_the_base_s_axis_is_one_of_the_
     for origin in origins.values():
         elsewhere = replace(machine, joints=(replace(first, origin=origin), *others))
         assert not of_its_kind(named, of_base, never_turned(elsewhere))
+
+
+def test_what_a_load_did_at_the_visit_before_goes_with_that_load() -> None:
+    """A side that is held is structure over both where its width is between those of the first look (a sixtieth
+    author's 033)."""
+    my = WRENCH_COMPONENTS.index("My")
+    assert of_a_load(_rival("S5", "ry", "on_S5_My", "previous_on_S5_My")) == my
+    assert of_a_load(_rival("S5", "ry", "on_S5_My")) == my
+    for other in (("on_S5_My", "q_S5"), ("on_S5_My", "previous_on_S5_Mx"), ("previous_q_S5",)):
+        assert of_a_load(_rival("S5", "ry", *other)) is None
 
 
 def test_what_grows_everywhere_may_grow_more_where_a_joint_stands() -> None:

@@ -16,8 +16,8 @@ from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.by_instrument import weighed
-from ppshw.diagnosis.library.by_load import FALLS_AT, clearance
-from ppshw.diagnosis.library.sampled import elastic_frames
+from ppshw.diagnosis.library.by_load import FALLS_AT, HOLDS, _falls, changes_side, clearance
+from ppshw.diagnosis.library.sampled import elastic_frames, loads_on
 from ppshw.diagnosis.library.weighing import _base_axes_at_sensor, may_be_pulled, surely_misread
 from ppshw.diagnosis.nameless import nameless
 from ppshw.diagnosis.parameters import numbers_of
@@ -173,6 +173,25 @@ def test_a_side_that_is_held_until_a_load_pushes_it_over_is_no_stiffness_where_c
     assert best_of(tried, found[0]).covariates[0].startswith("on_")
     found, _ = look(there, ["nonlinear_stiffness", "clearance"])
     assert [f.name[0] for f in found] == ["clearance"]
+
+
+def test_widths_that_hold_a_side_are_finer_by_a_load_that_something_goes_with(space: Workspace) -> None:
+    """One visit on the wrong side takes those after it along; no width more makes the name likelier."""
+    frame, load = next(
+        (k + 1, b) for k in range(space.machine.n) for b in loads_on(space.context, k + 1)
+        if changes_side(space.context.wrenches[:, k + 1, b])
+    )  # fmt: skip
+    coarse, fine = (
+        [
+            (args["width"], share) for function, args, share in _falls(space.context, frame, load, finely)
+            if function == HOLDS and "offset" not in args
+        ]
+        for finely in (False, True)
+    )  # fmt: skip
+    assert sum(share for _, share in fine) == pytest.approx(sum(share for _, share in coarse))
+    widths = sorted({width for width, _ in fine})
+    assert np.diff(widths).max() == pytest.approx(0.02)
+    assert widths[0] <= min(coarse)[0] < max(coarse)[0] <= widths[-1]
 
 
 def test_what_gives_way_at_once_where_its_load_passes_some_value_is_no_stiffness_where_clearance_is_left_out(
