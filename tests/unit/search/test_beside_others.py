@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ppshw.diagnosis import _as_scatter, _each_once, _seen, standing
+from ppshw.diagnosis import _as_scatter, _each_once, _seen, standing, weights
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, take_up
+from ppshw.diagnosis.kinship import Unturned
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.modelled import extended
@@ -903,6 +904,17 @@ def test_a_jump_of_a_rail_that_nothing_turns_may_be_one_of_the_base(space: Works
     """Four jumps of a base had the name of the first rail's zero, for certain: drift has no form of several."""
     for joint, either in (("lateral", ("drift", None)), ("roll", None)):
         jump = next(k for k in named(space, "zero_shift") if k.joint == joint)
+        tried = Tried(space, [jump, named(space, "drift")[0]], 5e-5)
+        assert as_well(space, tried, Found(0, tried.name(0), 0.0, 20.0)) == either
+
+
+def test_a_jump_of_a_first_joint_about_the_base_s_own_axis_may_be_one_of_the_base(
+    space: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roll, yaw = (next(k for k in named(space, "zero_shift") if k.joint == joint) for joint in ("roll", "yaw"))
+    as_if_first = Unturned(("base",), turns=frozenset({("base", "rz"), ("roll", str(roll.component))}))
+    monkeypatch.setattr(weights, "never_turned", lambda _: as_if_first)
+    for jump, either in ((roll, ("drift", None)), (yaw, None)):
         tried = Tried(space, [jump, named(space, "drift")[0]], 5e-5)
         assert as_well(space, tried, Found(0, tried.name(0), 0.0, 20.0)) == either
 
