@@ -132,7 +132,6 @@ def _add_what_is_read(space: Workspace, tried: Tried, found: list[Found]) -> Non
     best = as_weighed_alone(tried)
     if best is None or tried.name(best) in [f.name for f in found] or not surely_reads_other(space, tried, found):
         return
-    take_up(space, tried, found)
     found.append(as_read(tried, best))
     take_up(space, tried, found)
     drop_what_others_explain(space, tried, found)

@@ -341,9 +341,14 @@ def _by_itself(
     """What a finding says beside the others, by its bare form; with all near forms, less what it took over from other
     names, and with further pieces of the same effect; the log evidence of all candidates beside the others. The others
     are then taken up."""
-    every = _beside(space, tried, [replace(f, more=(), size=0.0) if f.more else f, *pieces], others)
+    every = _beside(space, tried, [_without_more(f), *pieces], others)
     evidence, names = tried.said()
     return _at_any_joint(tried, f, evidence, names), every, evidence
+
+
+def _without_more(f: Found) -> Found:
+    """A finding without what it took over from other names."""
+    return replace(f, more=(), size=0.0) if f.more else f
 
 
 def _at_any_joint(tried: Tried, f: Found, evidence: Array, names: Array) -> float:
@@ -405,7 +410,7 @@ def _has_no_period(tried: Tried, f: Found, own: float, others: list[Found], piec
     mine, space = tried.candidates[f.best], tried.space
     if mine.effect != "periodic_transmission":
         return False
-    take_up(space, tried, [*others, *pieces, replace(f, more=(), size=0.0) if f.more else f])
+    take_up(space, tried, [*others, *pieces, _without_more(f)])
     evidence = tried.said()[0]
     take_up(space, tried, others)
     rivals = (k for k, c in enumerate(tried.candidates) if c.effect == "nameless" and of_its_kind(mine, c))

@@ -180,10 +180,10 @@ def as_well(space: Workspace, tried: Tried, f: Found) -> Name | None:
     which only fixed monuments tell.
     """
     candidate = tried.candidates[f.best]
-    unturned = never_turned(space.machine)
-    of_base = candidate.joint in unturned.frames[1:] or (candidate.frame, candidate.component) in unturned.turns
-    if candidate.effect == "zero_shift" and of_base:
-        return ("drift", None) if ("drift", None) in tried.names else None
+    if candidate.effect == "zero_shift":
+        unturned = never_turned(space.machine)
+        of_base = candidate.joint in unturned.frames[1:] or (candidate.frame, candidate.component) in unturned.turns
+        return ("drift", None) if of_base and ("drift", None) in tried.names else None
     if candidate.effect in OF_A_LOAD:
         first, sibling = candidate.columns[0], (next(iter(OF_A_LOAD - {candidate.effect})), candidate.joint)
         softly = first.function == "load_side" and not first.args.get("hard") and candidate.way >= 0

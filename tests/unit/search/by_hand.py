@@ -35,6 +35,14 @@ def moved_by(space: Workspace, column: Column, times: float) -> Workspace:
     return having_read(space, space.data + of_size(space, column.evaluate(space.context), times))
 
 
+def moved_along(space: Workspace, name: str, course: Array, times: float) -> Workspace:
+    """The same recording of a machine whose joint errs by a course (N,) in its own direction, so many repeatabilities
+    rms at the reflectors."""
+    k = space.machine.joint_names.index(name)
+    moved = space.context.jacobian[:, :, k + 1, own_component(space.context, k)] * course[:, None]
+    return having_read(space, space.data + of_size(space, moved, times))
+
+
 def having_read(space: Workspace, data: Array) -> Workspace:
     """The same machine, visits and noise with other readings (N, 3T): what knows nothing of them is worked out once."""
     _ = space.directions

@@ -22,7 +22,7 @@ from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 from tests.unit.clean_case import clean_case
-from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_by, named, of_size
+from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_along, moved_by, named, of_size
 
 
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
@@ -69,13 +69,10 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
     space: Workspace, width: float, about: float, size: float
 ) -> None:
     """Up, and down beside it; two or three waves of nearly the same period stood for it."""
-    joint = space.machine.joint_names.index("longitudinal")
-    q = space.recording.q[:, joint]
+    q = space.recording.q[:, space.machine.joint_names.index("longitudinal")]
     u = (q - q.mean()) / (0.5 * np.ptp(q))
     dent = np.exp(-0.5 * ((u - about) / width) ** 2) - 0.7 * np.exp(-0.5 * ((u - about - 2.5 * width) / width) ** 2)
-    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * dent[:, None]
-    moved *= size / np.sqrt((moved**2).sum() / space.recording.seen.sum())
-    there = having_read(space, space.data + moved)
+    there = moved_along(space, "longitudinal", dent, size / 5e-5)
     found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
@@ -84,12 +81,10 @@ def test_a_dent_is_no_period_however_many_waves_make_it(
 @pytest.mark.parametrize("seed", [1, 3])
 def test_an_error_that_has_no_period_is_no_wave(space: Workspace, seed: int) -> None:
     """Linear between knots (a reviewer's; six of thirteen were waves): it has a strongest one."""
-    joint = space.machine.joint_names.index("longitudinal")
-    q = space.recording.q[:, joint]
+    q = space.recording.q[:, space.machine.joint_names.index("longitudinal")]
     knots = np.linspace(q.min(), q.max(), 18)
     course = np.interp(q, knots, np.random.default_rng(seed).normal(size=len(knots)))
-    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * course[:, None]
-    there = having_read(space, space.data + of_size(space, moved, 2.0))
+    there = moved_along(space, "longitudinal", course, 2.0)
     found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == ("q_longitudinal",)
@@ -97,12 +92,9 @@ def test_an_error_that_has_no_period_is_no_wave(space: Workspace, seed: int) -> 
 
 @pytest.mark.parametrize("times", [1.0, 8.0])
 def test_a_wave_that_grows_along_its_travel_has_a_period(space: Workspace, times: float) -> None:
-    joint = space.machine.joint_names.index("longitudinal")
-    q = space.recording.q[:, joint]
+    q = space.recording.q[:, space.machine.joint_names.index("longitudinal")]
     u = (q - q.min()) / np.ptp(q)
-    course = (0.3 + u) * np.sin(2 * np.pi * 9.3 * u)
-    moved = space.context.jacobian[:, :, joint + 1, own_component(space.context, joint)] * course[:, None]
-    there = having_read(space, space.data + of_size(space, moved, times))
+    there = moved_along(space, "longitudinal", (0.3 + u) * np.sin(2 * np.pi * 9.3 * u), times)
     found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
     assert [f.name for f in found] == [("periodic_transmission", "longitudinal")]
     assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(9.3, abs=0.25)
