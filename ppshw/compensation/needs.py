@@ -15,7 +15,8 @@ AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "
                      "load_side", "load_bump",
                      "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair",
                      "pair_waves", "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled",
-                     "scale", "target_shift", "covariate", "covariate_pair", "unexplained", "instead"})  # fmt: skip
+                     "scale", "target_shift", "carrier_shift", "covariate", "covariate_pair", "unexplained",
+                     "instead"})  # fmt: skip
 FROM_WAY = frozenset({"reversal", "turning", "slipping", "winding"})  # as far as a joint has gone since it turned back
 FROM_APPROACH = frozenset({"approach", "approach_q"}) | FROM_WAY
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording

@@ -15,6 +15,7 @@ import numpy as np
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.library.by_position import of_two
 from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
+from ppshw.diagnosis.library.jumps import ALL, knocked_carrier
 from ppshw.diagnosis.library.lost_motion import winds_up
 from ppshw.diagnosis.library.sampled import LAGS_H, presses, tilts
 from ppshw.terms.shapes import Column, Context
@@ -175,6 +176,8 @@ def _target(c: Context, k: Candidate) -> list[Column]:
     """From later moments on; what moved at a moment stood before it where the machine file has it (where it was let
     stand a tenth of a millimetre off besides, the end effector turned with it)."""
     step, first = float(c.hours[-1]) / STEPS, k.columns[0].args
+    if k.covariate == ALL:
+        return [column for j in range(1, STEPS) for column in knocked_carrier(step * j)]
     always = () if float(first.get("since", -1.0)) >= 0.0 else (-1.0,)
     return [
         Column("points", "target_shift", {"target": first["target"], "axis": a, "since": since})

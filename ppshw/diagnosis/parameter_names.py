@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.library.jumps import ORDINALS
+from ppshw.diagnosis.library.jumps import ALL, ORDINALS
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
@@ -105,6 +105,8 @@ def _scale(candidate: Candidate) -> list[Told]:
 
 
 def _reflector(candidate: Candidate) -> list[Told]:
+    if candidate.covariate == ALL:
+        return [Told(f"d{axis}", "m") for axis in "xyz"] + [Told(f"turned_{axis}", "rad") for axis in "xyz"]
     return [Told(f"{word}d{axis}", "m") for word in ORDINALS[: len(candidate.columns) // 3] for axis in "xyz"]
 
 
@@ -165,7 +167,9 @@ def _clearance(candidate: Candidate) -> list[Told]:
 
 def _compliance(candidate: Candidate) -> list[Told]:
     if "load_width" in candidate.shape and candidate.effect == "nonlinear_stiffness":
-        return [Told("half_slack", unit_of(candidate.component))]
+        slack = Told("half_slack", unit_of(candidate.component))
+        in_proportion = Told("compliance", per_load(unit_of(candidate.component), candidate.covariate))
+        return [slack, in_proportion][: len(candidate.columns)]
     if candidate.component is None and candidate.columns[0].function == "load":  # in all directions
         return [Told(f"compliance_{way}_by_{load}", per_load(unit_of(way), load)) for way, load in _ways(candidate)]
     of_a_bearing = candidate.columns[0].function == "bearing"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.found import Found, by_its_own_form, moved_by
 from ppshw.diagnosis.library import Candidate
-from ppshw.diagnosis.library.jumps import ORDINALS
+from ppshw.diagnosis.library.jumps import ALL, ORDINALS
 from ppshw.diagnosis.library.sampled import own_component
 from ppshw.diagnosis.library.weighing import by_readings
 from ppshw.diagnosis.nameless.rival import most_alike
@@ -251,6 +251,8 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
     amount = f"{2 * abs(values[0]) * 1e3:.3f} {unit}{_by_its_load(candidate, values, unit)}"
     ahead = ", which lags: is a sign turned?" if runs_ahead(c, candidate, values) else ""
     if candidate.effect == "target_moved":
+        if candidate.covariate == ALL:
+            return _knocked(candidate, values)
         return f"reflector {candidate.covariate} {_moved(candidate, values)}."
     texts = {
         "backlash": f"{joint} {'runs ahead' if ahead else 'lags behind'} by {amount}{rocks(candidate)} whenever it "
@@ -424,6 +426,16 @@ def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:
 def _hose(candidate: Candidate) -> str:
     by = [column.args["by"] for column in candidate.columns if "by" in column.args]
     return f", which {str(candidate.covariate).removeprefix('q_')} moves" if by else ""
+
+
+def _knocked(candidate: Candidate, values: Array) -> str:
+    """Since when all reflectors are elsewhere as one body, and how far."""
+    far, turned = (1e3 * float(np.linalg.norm(way)) for way in values.reshape(2, 3))
+    return (
+        f"all reflectors are elsewhere from {candidate.shape['time_h']:.2f} h on, as one body, by {far:.3f} mm and "
+        f"{turned:.3f} mrad: what carries them was knocked, and no setpoint is corrected for it; or the last link "
+        "slipped where it is bolted on, which looks the same."
+    )
 
 
 def _moved(candidate: Candidate, values: Array) -> str:

@@ -17,6 +17,7 @@ from ppshw.terms.shapes import Column, Context
 
 Array = NDArray[np.float64]
 UNNAMED = "unexplained"  # what a correction without a name is called
+OF_REFLECTORS = frozenset({"target_shift", "carrier_shift"})  # functions that move no other point
 BEYOND_C = 0.1  # what thermometers of a hall read one another apart
 
 
@@ -107,12 +108,12 @@ def instrument_error(
     out = np.zeros((len(recording), 1, 3))
     for effect in filter(lambda effect: effect.of_instrument, effects):
         for column, value in zip(effect.columns, effect.values, strict=True):
-            moves_one = "target_shift" in (column.function, column.args.get("column", {}).get("function"))
+            of_reflectors = {column.function, column.args.get("column", {}).get("function")} & OF_REFLECTORS
             if column.on != "points" and effect.name == UNNAMED:  # beside structure without a name: the machine's
                 continue
             if column.on == "frame":  # a scale about another place than the instrument's shifts all that it sees
                 out[:, 0, column.component] += value * column.value(context)
-            elif not moves_one:
+            elif not of_reflectors:
                 out += value * column.evaluate(context).reshape(out.shape)
     return np.asarray(out[:, 0])
 

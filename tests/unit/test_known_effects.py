@@ -834,7 +834,8 @@ def test_a_point_is_read_farther_off_along_its_beam_and_not_where_a_reflector_mo
     points = calibration.measuring_in_base[:3, 3] + 4.0 * beam
     scale = Effect("tracker_scale", None, (Column("points", "scale"),), (1e-4,), (1e-6,), "by hand")
     slipped = Column("points", "target_shift", {"target": 0, "axis": 1})
-    moved = Effect("target_moved", None, (slipped,), (5e-4,), (1e-6,), "by hand")
+    knocked = Column("points", "carrier_shift", {"axis": 0, "turn": False, "since": 0.5})
+    moved = Effect("target_moved", None, (slipped, knocked), (5e-4, 3e-4), (1e-6, 1e-6), "by hand")
     frame = calibration.measuring_in_base
     found = instrument_error([scale, moved], calibration.model, calibration.theta, recording, frame, {}, points)
     np.testing.assert_allclose(found, 4e-4 * beam, atol=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ TAKEN_UP, FAR_STOPS = (0.6, 0.85, 1.2), (0.85, 1.2)
 # Shares of the visits whose load is below that at which stiffness changes.
 KNEES_AT = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)
 OPENS_AT = (0.3, 0.5, 0.7, 1.0, 1.4)  # relative to a load's spread: beyond it, either way, a link is softer
+OF_THE_RIGID = 0.3  # share of forms of a link that the machine file has rigid
 USED_UP = (0.1, 0.3)  # relative to a load's spread: widths of clearances, too
 ROUNDED = np.array([0.2, 0.8])  # over how much of the load's spread it does
 # Loads at which a joint falls to its other side, relative to the spread; the share of those that are far from zero.
@@ -58,43 +60,53 @@ HALF_A_CYCLE = 1.5  # rad that a bearing turns at least, to tell its softer dire
 
 
 def nonlinear(c: Context, finely: Collection[int] = ()) -> Iterator[Candidate]:
-    """finely: components of loads that something goes with, whose forms are tried more finely."""
-    for frame, name, acting in elastic_frames(c):
-        for b in acting:
-            where = {"frame": frame, "component": b}
-            # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
-            powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
-            about = {e: FINE_POWERS[e] if b in finely else (e,) for e, _ in powers}
-            shapes: list[tuple[str, dict[str, Any], dict[str, float], float]] = [
-                ("load_power", {"exponent": e}, {"exponent": e}, share / len(about[among]))
-                for among, share in powers for e in about[among]
-            ]  # fmt: skip
-            for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
-                shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
-            stops = FINE_STOPS if b in finely else FAR_STOPS
-            for stop in [{"width": w, "hard": True} for w in stops]:
-                shapes.append(("load_side", stop, _of_load(c, frame, b, stop), 1 / len(stops)))
-            for function, args, shape, share in shapes:
-                for comp in range(6):
-                    yield Candidate(
-                        "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
-                        (Column("frame", function, {**where, **args}, frame, comp),), shape,
-                        share if comp == b else 0.2 * share,
-                    )  # fmt: skip
-            if changes_side(c.wrenches[:, frame, b]):
-                for column, shape, way, share in _opened(c, frame, b, b in finely):
-                    yield Candidate(
-                        "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, share,
-                        way=way,
-                    )  # fmt: skip
-            for knees, width in _knees(c, frame, b):
-                columns = tuple(
-                    Column("frame", "load_knee", {**where, "at": at, "width": width}, frame, b) for at in knees
-                )
-                shape = dict(zip(("knee_load", "other_knee_load"), knees, strict=False))
-                yield Candidate(
-                    "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], columns, shape, 0.2
-                )
+    """finely: components of loads that something goes with, whose forms are tried more finely.
+
+    A link that the machine file has rigid gives way in proportion besides, which no base model has."""
+    bent = {frame: set(acting) for frame, _, acting in elastic_frames(c)}
+    for frame in range(1, c.machine.n + 1):
+        for b in loads_on(c, frame):
+            if b in bent.get(frame, ()):
+                yield from _out_of_proportion(c, frame, b, b in finely)
+                continue
+            in_proportion = Column("frame", "load", {"frame": frame, "component": b}, frame, b)
+            for k in _out_of_proportion(c, frame, b, b in finely):
+                if k.component == COMPONENTS[b]:
+                    yield replace(k, columns=(*k.columns, in_proportion), share=OF_THE_RIGID * k.share)
+
+
+def _out_of_proportion(c: Context, frame: int, b: int, finely: bool) -> Iterator[Candidate]:
+    name, where = c.machine.joint_names[frame - 1], {"frame": frame, "component": b}
+    # by an exponent below one or above; slack that is taken up little by little: soft at first, then stiff
+    powers = ((0.5, 0.5), (0.67, 0.5), (0.8, 0.5), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0))
+    about = {e: FINE_POWERS[e] if finely else (e,) for e, _ in powers}
+    shapes: list[tuple[str, dict[str, Any], dict[str, float], float]] = [
+        ("load_power", {"exponent": e}, {"exponent": e}, share / len(about[among]))
+        for among, share in powers for e in about[among]
+    ]  # fmt: skip
+    for side in [{"width": w, **of} for w in TAKEN_UP for of in ({}, *_of_payload(c, frame, b))]:
+        shapes.append(("load_side", side, _of_load(c, frame, b, side), 2 / len(TAKEN_UP)))
+    stops = FINE_STOPS if finely else FAR_STOPS
+    for stop in [{"width": w, "hard": True} for w in stops]:
+        shapes.append(("load_side", stop, _of_load(c, frame, b, stop), 1 / len(stops)))
+    for function, args, shape, share in shapes:
+        for comp in range(6):
+            yield Candidate(
+                "nonlinear_stiffness", name, name, COMPONENTS[comp], WRENCH_COMPONENTS[b],
+                (Column("frame", function, {**where, **args}, frame, comp),), shape,
+                share if comp == b else 0.2 * share,
+            )  # fmt: skip
+    if changes_side(c.wrenches[:, frame, b]):
+        for column, shape, way, share in _opened(c, frame, b, finely):
+            yield Candidate(
+                "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], (column,), shape, share, way=way
+            )
+    for knees, width in _knees(c, frame, b):
+        columns = tuple(Column("frame", "load_knee", {**where, "at": at, "width": width}, frame, b) for at in knees)
+        shape = dict(zip(("knee_load", "other_knee_load"), knees, strict=False))
+        yield Candidate(
+            "nonlinear_stiffness", name, name, COMPONENTS[b], WRENCH_COMPONENTS[b], columns, shape, 0.2
+        )  # fmt: skip
 
 
 def _opened(c: Context, frame: int, b: int, finely: bool) -> Iterator[tuple[Column, dict[str, float], int, float]]:

@@ -12,7 +12,8 @@ from ppshw.diagnosis.library.sampled import MOMENTS, called, moments_between, mo
 from ppshw.terms.shapes import Column, Context
 
 ORDINALS = ("", "second_", "third_", "fourth_")
-KNOCKS = 150  # moments between which a reflector may be moved more than once
+KNOCKS = 150  # moments between visits at which reflectors may be moved
+ALL = "all reflectors"  # as one body
 SLIDES_H = (0.3, 1.0)  # time constants with which a reflector slides away from some moment on
 
 
@@ -49,7 +50,8 @@ def zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
 def moved_reflector(c: Context, moments: Sequence[float], knocks: Sequence[Jumps]) -> Iterator[Candidate]:
     # there from the start (where it stands alone nobody can say so); knocked at a moment; or sliding from then on
     courses = [(-1.0, 0.0, 1.0)] if c.points.shape[1] > 1 else []
-    courses += [(t, 0.0, 1.0 / len(moments)) for t in moments]
+    some = sorted({*moments, *some_between(c)})
+    courses += [(t, 0.0, 1.0 / len(some)) for t in some]
     courses += [(t, slow, 0.5 / len(SLIDES_H) / len(moments)) for t in moments for slow in SLIDES_H]
     for t, name in enumerate(c.recording.target_names):
         for moment, slow, share in courses:
@@ -61,6 +63,9 @@ def moved_reflector(c: Context, moments: Sequence[float], knocks: Sequence[Jumps
             columns = tuple(column for moment in many.moments for column in shift_of_reflector(t, moment))
             share = 0.2 / math.comb(len(some_between(c)), len(many.moments))
             yield Candidate("target_moved", None, None, None, name, columns, _moments(*many.moments), share)
+    for moment in some if c.points.shape[1] > 1 else []:
+        knocked = knocked_carrier(moment)
+        yield Candidate("target_moved", None, None, None, ALL, knocked, {"time_h": moment}, 1.0 / len(some))
 
 
 def shift_of_zero(c: Context, k: int, moment: float) -> Column:
@@ -86,13 +91,20 @@ def shift_of_reflector(target: int, moment: float, **more: float) -> tuple[Colum
     return tuple(Column("points", "target_shift", {**args, "axis": a}) for a in range(3))
 
 
+def knocked_carrier(moment: float) -> tuple[Column, ...]:
+    """What carries all reflectors elsewhere from a moment on [h], shifted along and turned about each axis of the end
+    effector."""
+    ways = itertools.product((False, True), range(3))
+    return tuple(Column("points", "carrier_shift", {"axis": a, "turn": turn, "since": moment}) for turn, a in ways)
+
+
 def visits_between(c: Context) -> list[float]:
     """Moments between visits at which a zero may have jumped [h]."""
     return moments_between(c, 450)
 
 
 def some_between(c: Context) -> list[float]:
-    """Moments between visits at which a reflector may have been moved more than once [h]."""
+    """Moments between visits at which reflectors may have been moved [h]."""
     return moments_between(c, KNOCKS)
 
 

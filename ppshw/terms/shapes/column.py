@@ -102,7 +102,7 @@ FUNCTIONS: dict[str, FunctionOfVisits] = {
         wrenches.own_weight, wrenches.own_bend, wrenches.hanging, wrenches.body_weight,
         sensor.sensor_error, sensor.weighed, sensor.sensor_off, sensor.pulled,
         instrument.scale, instrument.strain, instrument.angle_error, instrument.range_error, instrument.refraction,
-        reflectors.target_shift, reflectors.turned_shift,
+        reflectors.target_shift, reflectors.carrier_shift, reflectors.turned_shift,
         covariates.covariate, covariates.covariate_pair,
         carried.unexplained, carried.model_shift, instead,
     )

@@ -50,6 +50,21 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     assert np.quantile(at, 0.3) < said["knee_load"]["value"] < np.quantile(at, 0.7)
 
 
+def test_a_link_that_the_file_has_rigid_may_give_way_out_of_proportion(space: Workspace) -> None:
+    """It was a clearance for certain (another author's): stiffness was asked of links that the file lets bend alone."""
+    joint = space.machine.joint_names.index("yaw")
+    rigid = [replace(each, elastic=None) if k == joint else each for k, each in enumerate(space.machine.joints)]
+    there = prepare(replace(space.machine, joints=tuple(rigid)), space.recording, space.fit)
+    load = there.context.wrenches[:, joint + 1, 3]
+    gives = np.where(load > np.median(load), 1.0, 0.3) * (load - np.median(load))  # softer one way
+    moved = of_size(there, there.context.jacobian[:, :, joint + 1, 3] * gives[:, None], 8.0)
+    there = having_read(there, there.data + moved)
+    (found, *_), tried = look(there, ["nonlinear_stiffness", "clearance", "missing_compliance"])
+    assert found.name == ("nonlinear_stiffness", "yaw")
+    said = finding(there, tried, found, [])["parameters"]
+    assert said["compliance1"]["unit"] == "rad/(N m)"
+
+
 @pytest.mark.parametrize("below", [0.26, 0.44, 0.66])
 def test_a_joint_that_falls_at_a_load_which_never_changes_sign_is_told_from_the_next_one(
     space: Workspace, below: float
