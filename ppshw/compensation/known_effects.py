@@ -115,6 +115,8 @@ class KnownEffects:
             places = [place for place in self._seen_between if f"temp_{place}_C" in effect.unnamed_over]
             why = "nothing says that it stays: no axis is driven by it, nor by what it would change"
             return False, "; ".join([why, *self._beyond(places, now, "how large it is there nothing says")])
+        if any(c.function == "carrier_shift" for c in effect.columns):
+            return False, "taken for the reflectors': where the last link slipped instead, the tip is off by as much"
         if effect.of_instrument:
             return False, "an error of the instrument, not of the machine; its readings keep it"
         if any(c.function == "weighed" for c in effect.columns):

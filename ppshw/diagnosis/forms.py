@@ -165,6 +165,8 @@ def _creep(c: Context, k: Candidate) -> list[Column]:
 
 
 def _zero_shift(c: Context, k: Candidate) -> list[Column]:
+    if k.joint is None:
+        return []
     args = k.columns[0].args
     moment = float(args["times"][0] if "times" in args else args["visit_time"])
     step = float(c.hours[-1]) / STEPS

@@ -116,6 +116,14 @@ def of_its_kind(
     return False
 
 
+def that_hold(name: tuple[str, str | None], last: str) -> list[tuple[str, str | None]]:
+    """Names under which a joint's jump is one of several, and which therefore show all that it does: of all zeros, or
+    of what is behind the last joint. They are behind it by what the others cost."""
+    if name[0] != "zero_shift" or name[1] is None:
+        return []
+    return [("zero_shift", None), *[("target_moved", None)] * (name[1] == last)]
+
+
 def counts(named: Candidate, rival: Candidate, unturned: Unturned = Unturned()) -> float:
     """The share of a rival's evidence that counts against a name."""
     if named.effect == "thermal_growth" and _warms_the_base(named, rival, unturned):

@@ -36,12 +36,19 @@ def _plainly(candidate: Candidate) -> list[Told]:
 def _backlash(candidate: Candidate) -> list[Told]:
     unit, last = unit_of(candidate.component), candidate.columns[-1]
     names = [(name, unit) for name in ("gap", "drag", "wear")[: len(candidate.columns)]]
-    if rocks(candidate):
-        across = COMPONENTS[last.component]
-        names[1] = (f"sideways_{across}", "m") if across.startswith("t") else (f"rocking_{across}", "rad")
+    if across := _sideways(candidate):
+        names[1] = across
     if more := _by_its_load(last, unit):
         names[1] = more
     return [Told(name, its, -2.0) for name, its in names]  # the axis stays half the gap behind on either side
+
+
+def _sideways(candidate: Candidate) -> tuple[str, str] | None:
+    """Name and unit of how far a carriage goes sideways or rocks as it turns back; None where it does not."""
+    if not rocks(candidate):
+        return None
+    across = COMPONENTS[candidate.columns[-1].component]
+    return (f"sideways_{across}", "m") if across.startswith("t") else (f"rocking_{across}", "rad")
 
 
 def rocks(candidate: Candidate) -> str:
@@ -56,7 +63,7 @@ def rocks(candidate: Candidate) -> str:
 
 def _friction(candidate: Candidate) -> list[Told]:
     unit = unit_of(candidate.component)
-    more = [_by_its_load(column, unit) for column in candidate.columns[1:]]
+    more = [_sideways(candidate) or _by_its_load(column, unit) for column in candidate.columns[1:]]
     return [Told(*said, -1.0) for said in (("lag", unit), *more) if said]  # a joint that lags stays behind
 
 
@@ -69,6 +76,8 @@ def _by_its_load(column: Column, unit: str) -> tuple[str, str] | None:
 
 
 def _jump(candidate: Candidate) -> list[Told]:
+    if candidate.joint is None:  # joints by their place in the chain
+        return [Told(f"step_of_joint_{k.frame}", unit_of(COMPONENTS[k.component])) for k in candidate.columns]
     unit = unit_of(candidate.component)
     if candidate.columns[-1].function == "settling":
         return [Told("step", unit), Told("lost_again", unit)]

@@ -82,12 +82,13 @@ def along_its_axis(c: Context, candidate: Candidate) -> Array:
     """(k,) by what a candidate's coefficients are multiplied to be along its joint's own axis, or about it: that may
     point the other way than the frame's."""
     out = np.ones(len(candidate.columns))
-    if candidate.effect not in OF_THE_JOINT or candidate.joint is None:
+    if candidate.effect not in OF_THE_JOINT:
         return out
-    joint = c.machine.joint_names.index(candidate.joint)
-    own = own_component(c, joint)
-    if own != ALONG:
-        out[[column.component == own for column in candidate.columns]] = np.sign(c.machine.own_ways[joint, own])
+    of = None if candidate.joint is None else c.machine.joint_names.index(candidate.joint)
+    for k, column in enumerate(candidate.columns):
+        joint = column.frame - 1 if of is None else of
+        if column.component == (own := own_component(c, joint)) != ALONG:
+            out[k] = np.sign(c.machine.own_ways[joint, own])
     return out
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.evidence import CHUNK, FIRST, LEAST_FIRST, LEAST_SHARE, Name, Tried
+from ppshw.diagnosis.kinship import that_hold
 from ppshw.diagnosis.library import Candidate
 from ppshw.quantities import called
 
@@ -152,7 +153,10 @@ def sights(
         worst, typical, best = sizes
         name, middle = tried.names[j], three[1]
         visible, share = bool(seen[middle] > 0.0), float(shares[middle])
-        aliases = [other for other, how in zip(among.names, alike[a], strict=True) if how > ALIAS and other != name]
+        wider = (name, *that_hold(name, tried.space.machine.joint_names[-1]))
+        aliases = [
+            other for other, how in zip(among.names, alike[a], strict=True) if how > ALIAS and other not in wider
+        ]
         low, high = _tenths(tried.name_of == j, shares, weights)
         out.append(
             Sight(
@@ -245,11 +249,12 @@ def aliases_of(
     if scaled is not None:
         field = scaled[0] @ tried.laid.rows(tried.index[form])
         strength = float(np.sqrt(max(field @ tried.space.absorb(field[:, None])[:, 0], 0.0)))
+    wider = (name, *that_hold(name, tried.space.machine.joint_names[-1]))
     alike = mimicked(tried, across(tried, directions(tried, np.array([form]), scaled)))[0]
     out = [
         Alias(other, float(share), strength * float(np.sqrt(1.0 - share)), other == never)
         for other, share in zip(tried.names, alike, strict=True)
-        if other == never or (share > ALIAS and other != name and other[0] != "nameless")
+        if other == never or (share > ALIAS and other not in wider and other[0] != "nameless")
     ]
     return sorted(out, key=lambda alias: (not alias.never, -alias.alike))
 

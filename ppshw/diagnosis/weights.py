@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from ppshw.diagnosis.evidence import HANDICAP, Name, Tried
 from ppshw.diagnosis.found import Found, coefficients, explained, is_both, pieces_of, take_up
-from ppshw.diagnosis.kinship import OF_A_LOAD, never_turned, winds_up
+from ppshw.diagnosis.kinship import OF_A_LOAD, never_turned, that_hold, winds_up
 from ppshw.diagnosis.parameters import pulled_along, spread_of
 from ppshw.diagnosis.workspace import Workspace
 
@@ -82,6 +82,12 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             evidence[own] = evidence[top] + whole - explained(space, tried, [*others, rival])
         tempered = evidence / (1 + max(evidence.max(), 0.0) / TEMPER)
         tempered[own] = min(tempered[own], tempered[top] + BY_NEAR_FORMS) if top != own else tempered[own]
+        for wider in (
+            that_hold(f.name, space.machine.joint_names[-1]) if top == own else ()
+        ):  # no form is nearer its own
+            if wider in tried.names:
+                j = tried.names.index(wider)
+                tempered[j] = tempered[own] + evidence[j] - evidence[own]
         weights = np.exp(tempered - logsumexp(tempered))
         if f.name[0] != "nameless":
             weights = weights * (1 - OUTSIDE) + OUTSIDE * np.array([name[0] == "nameless" for name in tried.names])

@@ -257,8 +257,9 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
     texts = {
         "backlash": f"{joint} {'runs ahead' if ahead else 'lags behind'} by {amount}{rocks(candidate)} whenever it "
         f"turns back: lost motion in its drive{ahead} ({size}).",
-        "friction_hysteresis": f"{joint} {'runs ahead' if ahead else 'lags'} by an amount that grows with the travel "
-        f"since it turned back, up to {amount}{_lets_go(candidate)}: friction before sliding{ahead} ({size}).",
+        "friction_hysteresis": f"{joint} {'runs ahead' if ahead else 'lags'}{rocks(candidate)} by an amount that grows "
+        f"with the travel since it turned back, up to {amount}{_lets_go(candidate)}: friction before sliding{ahead} "
+        f"({size}).",
         "thermal_growth": f"every link grows with {candidate.covariate}{_per_kelvin(candidate, values)} ({size})."
         if joint is None
         else f"{joint} moves with {candidate.covariate}{_per_kelvin(candidate, values)}: its link grows or bends with "
@@ -278,7 +279,9 @@ def sentence(c: Context, candidate: Candidate, values: Array, rms: float, beyond
         else f"the machine is bent by more weight at {joint} than its file says{_hose(candidate)} ({size}).",
         "wrench_error": f"the force sensor{_misreads(candidate, values)} ({size})" + _weighing(c, candidate),
         "creep": f"deflection goes on after {_change(candidate)}{'' if joint is None else f' at {joint}'} ({size}).",
-        "zero_shift": f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
+        "zero_shift": f"{_homed_anew(c, candidate, values)} ({size})."
+        if joint is None
+        else f"{joint}'s zero {_jumps(candidate, values, unit)} ({size}).",
         "missing_compliance": f"{joint or 'the base'} gives way under {candidate.covariate}"
         f"{_along_its_travel(c, candidate)}, which its file leaves out ({size}).",
         "nameless": f"something depends on {_plainly(candidate)} that no known effect explains ({size}).",
@@ -410,6 +413,16 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
     moments = [candidate.shape[f"{word}time_h"] for word in ORDINALS if f"{word}time_h" in candidate.shape]
     said = [f"{v * 1e3:+.3f} {unit} after {t:.2f} h" for v, t in zip(steps, moments, strict=False)]
     return f"jumped by {said[0].lstrip('+-') if len(said) == 1 else ' and '.join(said)}"
+
+
+def _homed_anew(c: Context, candidate: Candidate, values: Array) -> str:
+    """How far each joint's zero jumped where all did at once."""
+    said = []
+    for value, column in zip(values, candidate.columns, strict=True):
+        joint = c.machine.joints[column.frame - 1]
+        said.append(f"{joint.name} by {value * 1e3:+.3f} {'mm' if joint.prismatic else 'mrad'}")
+    when = f"at once after {candidate.shape['time_h']:.2f} h"
+    return f"the zeros of all joints jumped {when}, as where they are homed anew: {enumerated(said)}"
 
 
 def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from ppshw.diagnosis.evidence import Tried
+from ppshw.diagnosis.forms import near_forms
 from ppshw.diagnosis.jumps import APART, _best_hops, _best_sets, jumps_of_reflectors, jumps_of_zeros
-from ppshw.diagnosis.library import library
-from ppshw.diagnosis.parameters import numbers_of
+from ppshw.diagnosis.library import Candidate, library
+from ppshw.diagnosis.library.jumps import ALL
+from ppshw.diagnosis.parameters import along_its_axis, numbers_of
 from ppshw.diagnosis.wording import sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from tests.unit.clean_case import clean_case
@@ -152,33 +154,64 @@ def test_a_reflector_that_was_moved_twice_is_found_at_both_visits_and_said_so(cl
     assert list(numbers_of(knocked.context, best, values, np.eye(6)))[:6] == names
 
 
-def test_what_carries_all_reflectors_was_knocked_and_no_joint_is_blamed_for_it(clean: Workspace) -> None:
-    """It was the jumped zeros of three joints and a link that grows, of two recordings whose plate was shifted by hand.
-    Where a joint's zero jumped it is said to be that joint's, though it moves all of them, too."""
+AT, FAR, TURNED = 83, np.array([2e-4, -1e-4, 2e-4]), np.array([1e-4, 3e-4, -2e-4])  # visit, [m], [rad]
+HOMED = np.array([1.5e-4, -0.4e-4, 1e-4, -4e-4, 3e-4, 2e-4])  # [rad]
+
+
+def _knocked(clean: Workspace) -> Workspace:
+    """The plate that carries all reflectors was."""
     tips, points = clean.context.tips, clean.context.points
-    far, turned = np.array([2e-4, -1e-4, 2e-4]), np.array([1e-4, 3e-4, -2e-4])
-    by = np.einsum("nij,j->ni", tips[:, :3, :3], far)[:, None] + np.cross(
-        np.einsum("nij,j->ni", tips[:, :3, :3], turned)[:, None], points - tips[:, None, :3, 3]
-    )
-    by[: (visit := 83)] = 0.0
-    after_work = np.zeros(len(points))
-    after_work[visit:] = 2e-4
-    for there, name in ((_moved(clean, by), "target_moved"), (_turned(clean, 5, after_work), "zero_shift")):
-        candidates = [k for k in library(there.context) if k.effect in ("target_moved", "zero_shift")]
-        tried = Tried(there, candidates, there.unit)
-        evidence, names = tried.said()
-        (first, second) = np.argsort(-names)[:2]
-        assert tried.names[first][0] == name
-        assert names[first] > names[second] + 5
-        if name == "target_moved":
-            best = candidates[tried.strongest(evidence, int(first))]
-            at = np.searchsorted(there.context.hours, best.shape["time_h"])
-            assert abs(at - visit) <= 1
-            said = sentence(there.context, best, np.array([*far, *turned]), 1e-4)
-            assert said.startswith("all reflectors are elsewhere from ")
-            assert ", as one body, by 0.300 mm and 0.374 mrad" in said
-            numbers = numbers_of(there.context, best, np.array([*far, *turned]), np.eye(6))
-            assert (numbers["dx"]["unit"], numbers["turned_y"]["unit"]) == ("m", "rad")
+    axes = tips[:, :3, :3]
+    by = (axes @ FAR)[:, None] + np.cross((axes @ TURNED)[:, None], points - tips[:, None, :3, 3])
+    by[:AT] = 0.0
+    return _moved(clean, by)
+
+
+def _told(there: Workspace) -> tuple[Candidate, float]:
+    """What moved reflectors or zeros are likeliest, and how far any other is behind it."""
+    candidates = [k for k in library(there.context) if k.effect in ("target_moved", "zero_shift")]
+    tried = Tried(there, candidates, there.unit)
+    evidence, names = tried.said()
+    first, second = np.argsort(-names)[:2]
+    return candidates[tried.strongest(evidence, int(first))], float(names[first] - names[second])
+
+
+def test_what_carries_all_reflectors_was_knocked_and_no_joint_is_blamed_for_it(clean: Workspace) -> None:
+    """It was the jumped zeros of three joints and a link that grows (one of two recordings that were made by hand)."""
+    there = _knocked(clean)
+    best, ahead = _told(there)
+    assert (best.effect, best.joint, best.covariate) == ("target_moved", None, ALL)
+    assert ahead > 5
+    assert abs(np.searchsorted(there.context.hours, best.shape["time_h"]) - AT) <= 1
+    values = np.array([*FAR, *TURNED])
+    said = sentence(there.context, best, values, 1e-4)
+    assert said.startswith("all reflectors are elsewhere from ")
+    assert ", as one body, by 0.300 mm and 0.374 mrad" in said
+    numbers = numbers_of(there.context, best, values, np.eye(6))
+    assert (numbers["dx"]["unit"], numbers["turned_y"]["unit"]) == ("m", "rad")
+
+
+def test_joints_that_are_homed_anew_are_all_said_and_a_single_zero_by_itself(clean: Workspace) -> None:
+    """All zeros of a positioner, others by up to 0.37 mm at the reflectors, were the plate that was knocked for certain
+    where only that was asked besides single joints."""
+    after = (np.arange(len(clean.recording)) >= AT).astype(float)
+    homed = clean
+    for k, angle in enumerate(HOMED):
+        homed = _turned(homed, k, angle * after)
+    best, ahead = _told(homed)
+    assert (best.effect, best.joint, len(best.columns)) == ("zero_shift", None, 6)
+    assert ahead > 5
+    values = HOMED * along_its_axis(homed.context, best)  # as columns have them, by their frames' axes
+    said = sentence(homed.context, best, values, 1e-4)
+    assert "the zeros of all joints jumped at once after " in said
+    names = homed.machine.joint_names
+    assert f"{names[3]} by -0.400 mrad, {names[4]} by +0.300 mrad and {names[5]} by +0.200 mrad" in said
+    numbers = numbers_of(homed.context, best, values, np.eye(6))
+    assert numbers["step_of_joint_4"] == {"value": pytest.approx(-4e-4), "std": pytest.approx(1.0), "unit": "rad"}
+    assert near_forms(homed.context, best) == ()
+    alone, ahead = _told(_turned(clean, 5, 2e-4 * after))
+    assert (alone.effect, alone.joint) == ("zero_shift", names[5])
+    assert ahead > 5
 
 
 def test_a_reflector_that_stands_alone_was_moved_at_a_moment_or_nobody_can_say_so(clean: Workspace) -> None:

@@ -826,6 +826,13 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
     assert "an error of the instrument, not of the machine" in found.effects[0].why
 
 
+def test_reflectors_that_were_knocked_as_one_body_may_be_the_last_link_and_it_says_so() -> None:
+    found = asked(knowing("target_moved", None, Column("points", "carrier_shift", {"axis": 1, "since": 0.1}), 3e-4))
+    np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
+    assert not found.effects[0].taken_out
+    assert "where the last link slipped instead, the tip is off by as much" in found.effects[0].why
+
+
 def test_a_point_is_read_farther_off_along_its_beam_and_not_where_a_reflector_moved_to() -> None:
     """A tenth of a per mille of four metres. Another point stays where it is when a reflector slips in its nest."""
     calibration, recording = base()[1], measured()

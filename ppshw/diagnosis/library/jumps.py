@@ -46,6 +46,11 @@ def zero_shift(c: Context, jumps: Sequence[Jumps]) -> Iterator[Candidate]:
                 back = Column("frame", "settling", {"visit_time": moment, "tau": tau}, k + 1, own)
                 yield Candidate(*where, (shift_of_zero(c, k, moment), back), {"time_h": moment}, 0.1 / len(some))
 
+    if len(moving := list(moving_joints(c))) > 1:  # whatever lost its zeros was homed anew
+        for moment in (every := visits_between(c)):
+            homed = tuple(shift_of_zero(c, k, moment) for k, _ in moving)
+            yield Candidate("zero_shift", None, None, None, "time", homed, {"time_h": moment}, 1.0 / len(every))
+
 
 def moved_reflector(c: Context, moments: Sequence[float], knocks: Sequence[Jumps]) -> Iterator[Candidate]:
     # there from the start (where it stands alone nobody can say so); knocked at a moment; or sliding from then on

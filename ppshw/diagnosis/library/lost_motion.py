@@ -35,6 +35,7 @@ SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file ha
 SOFTEST_KNOWN = 12.0
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
+ROCKS = 0.02  # share of a form that goes sideways besides
 # Bristles let go in a joint that rests, within a quarter of an hour or so (two other authors'): no play does.
 LETS_GO, RESTS_H, AT_REST = np.array([0.02, 0.06, 0.2]), (0.1, 0.3, 1.0), 0.05
 
@@ -59,7 +60,7 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
         for comp in range(6):
             if comp != nearest_component(c, k):  # a carriage that rocks as it turns back
                 rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)
-                yield Candidate(*where, (sign, rocks), share=0.02)
+                yield Candidate(*where, (sign, rocks), share=ROCKS)
 
 
 def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
@@ -76,6 +77,10 @@ def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
                 for more, part in _by_its_load(c, k, lag):
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, part * share)
+                for comp in range(6) if not shape else ():
+                    if comp != nearest_component(c, k):  # as it winds up, it rocks
+                        rocks = replace(lag, component=comp)
+                        yield Candidate(*where, (lag, rocks), {"width": width}, ROCKS)
         for width, rest_h in itertools.product(map(float, float(np.ptp(c.recording.q[:, k])) * LETS_GO), RESTS_H):
             column = _along_it(c, k, "winding", way=width, rest_h=rest_h)
             yield Candidate(*where, (column,), {"width": width, "rest_h": rest_h}, AT_REST)

@@ -15,8 +15,10 @@ from ppshw.diagnosis.nameless.rival import KNOTS, late_columns, rival
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context
 from ppshw.terms.shapes.reflectors import gravity_in_tip
+from ppshw.terms.shapes.sight import rays_to
 
 AROUND = ((1, 2), (1, 6), (7, 13), (13, 25), (25, 49))  # waves to a turn of the instrument's circles
+FEWEST_WAVES, MOST_WAVES = 4, 300  # half waves over all distances from the instrument
 # Standard deviation of where an axis points, of one: a reflector whose mount is always upright is elsewhere for good.
 TURNED_OVER = 0.1
 
@@ -79,6 +81,11 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for order in range(least, most + 1) for phase in ("sin", "cos")
             )  # fmt: skip
             yield Candidate("nameless", None, None, None, angle, off)
+    far = np.linalg.norm(rays_to(c), axis=2)
+    for halves in range(FEWEST_WAVES, MOST_WAVES + 1):  # of a distance meter that compares phases
+        period = 2.0 * float(np.ptp(far)) / halves
+        wave = tuple(Column("points", "range_wave", {"period": period, "phase": phase}) for phase in ("sin", "cos"))
+        yield Candidate("nameless", None, None, None, "distance", wave, share=1.0 / MOST_WAVES)
     warm = temperature_places(c)
     for places in (*zip(warm, strict=True), *itertools.combinations(warm, 2)):
         names = tuple(f"temp_{place}_C" for place in places)

@@ -35,6 +35,14 @@ def angle_error(c: Context, angle: str, order: int, phase: str) -> Array:
     return np.asarray(moves * (np.sin(order * at) if phase == "sin" else np.cos(order * at))[..., None])
 
 
+def range_wave(c: Context, period: float, phase: str) -> Array:
+    """Distances longer by the sine or cosine of themselves: what a distance meter that compares phases errs by."""
+    rays = rays_to(c)
+    far = np.linalg.norm(rays, axis=2, keepdims=True)
+    angle = 2 * np.pi * far / period
+    return np.asarray(rays / far * (np.sin(angle) if phase == "sin" else np.cos(angle)))
+
+
 def range_error(c: Context, first: int, second: int = -1, target: int = -1) -> Array:
     """Distances longer by a component of the direction in which the end effector's axes see the beam, or by the product
     of two: reflectors whose cube corner or sphere is off, the more the more aslant the beam falls in. target: of one
