@@ -209,6 +209,8 @@ def stand_ins(c: Context, candidate: Candidate) -> list[tuple[str, str]]:
         return [(name, f"{of}, as it is turned over") for name in most_alike(c, gravity_in_tip(c)[:, axis])[:2]]
     nearest = most_alike(c, named_column(c, candidate.covariate))[:2]
     said = f"for the {candidate.covariate} from the instrument"
+    if candidate.columns[0].function == "range_wave":
+        said += f", in waves of {candidate.columns[0].args['period']:.3g} m"
     if candidate.covariate == "incidence":
         target = int(candidate.columns[0].args["target"])
         which = f"reflector {c.recording.target_names[target]}" if target >= 0 else "the reflectors"

@@ -89,6 +89,20 @@ def test_friction_of_a_joint_that_goes_a_little_past_where_it_comes_back_to_is_f
     assert not any("past" in each.shape for each in library(space.context))  # where no joint did so
 
 
+def test_friction_that_rocks_its_carriage_as_it_winds_up_is_no_play_that_does(space: Workspace) -> None:
+    """Of three slipping elements it was play that rocks, for certain (another author's 61024)."""
+    along = on_joint(space, "slipping", width=0.08 * travel_of(space))
+    across = next(comp for comp in range(3, 6) if comp != along.component)
+    moved = along.evaluate(space.context) + 0.7 * replace(along, component=across).evaluate(space.context)
+    there = having_read(space, space.data - of_size(space, moved, 3.0))
+    found, tried = look(there, ["backlash", "friction_hysteresis"], NAME)
+    first = next(f for f in found if f.name[0] != "nameless")
+    assert first.name == ("friction_hysteresis", NAME)
+    answer = finding(there, tried, first, [])
+    assert f"rocks ({COMPONENTS[across]}) by an amount that grows with the travel" in answer["sentence"]
+    assert answer["parameters"][f"rocking_{COMPONENTS[across]}"]["unit"] == "rad"
+
+
 def test_friction_that_grows_with_the_load_says_by_how_much(space: Workspace) -> None:
     k = space.machine.joint_names.index(NAME)
     width, weight = 0.15 * travel_of(space), np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1)

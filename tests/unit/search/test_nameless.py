@@ -223,6 +223,22 @@ def test_an_instrument_s_circle_that_errs_many_times_a_turn_is_unexplained_over_
     assert best_of(tried, found[0]).covariate == "azimuth"
 
 
+def test_a_distance_meter_that_compares_phases_errs_in_waves_of_the_distance(space: Workspace) -> None:
+    """They were four moves of a reflector (another author's 61018)."""
+    rays = space.context.points - space.context.measuring_in_base[:3, 3]
+    far = np.linalg.norm(rays, axis=2, keepdims=True)
+    moved = rays / far * np.sin(2 * np.pi * far / 0.2 + 1.0)
+    there = having_read(space, space.data + of_size(space, moved.reshape(len(far), -1), 2.0))
+    tried = Tried(there, named(space, "nameless", "target_moved", "tracker_scale"), 5e-5)
+    first = max(search(there, tried, np.random.default_rng(0)), key=lambda f: f.evidence)
+    assert first.name[0] == "nameless"
+    said = dict(stand_ins(space.context, best_of(tried, first)))
+    assert set(said) <= {f"q_{name}" for name in space.machine.joint_names}
+    (how,) = set(said.values())
+    assert how.startswith("for the distance from the instrument, in waves of ")
+    assert float(how.split()[-2]) == pytest.approx(0.2, rel=0.05)
+
+
 def test_a_brake_that_seats_at_random_is_said_of_its_own_joint(space: Workspace) -> None:
     """Whenever the joint moved it stands a little aslant, until it moves again."""
     k = space.machine.joint_names.index("pitch")
