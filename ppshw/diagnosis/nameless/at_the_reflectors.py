@@ -42,6 +42,7 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
             (name, {"name": name}) for name in (*changes, *(f"q_{joint}" for _, joint in moving_joints(c)))
         ]
         ways += [(WRENCH_COMPONENTS[k], {"load": k}) for k in read_channels(c)]
+        ways += [("load", {"name": "load"})] if read_channels(c) else []  # in whichever attitude it hangs there
         for name, by in ways:
             swells = [
                 Column("points", "target_shift", {"target": t, "axis": a, **by})
