@@ -419,6 +419,8 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
 
 def _homed_anew(c: Context, candidate: Candidate, values: Array) -> str:
     """How far each joint's zero jumped where all did at once."""
+    if candidate.effect != "zero_shift":
+        return ""
     said = []
     for value, column in zip(values, candidate.columns, strict=True):
         joint = c.machine.joints[column.frame - 1]
