@@ -72,6 +72,8 @@ def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
             for width, column in _taken_up(c, k, SOFT_WALLS):
                 if winds_up(c, k, width, lost.get(name)):
                     yield Candidate(*where, (column,), {"width": width}, BRIEFLY)
+                    for more, part in _by_its_load(c, k, column):
+                        yield Candidate(*where, (column, more), {"width": width}, part * BRIEFLY)
         for width, column in _taken_up(c, k, parts):
             for lag, shape, share in _went_past(c, k, column):
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)

@@ -244,6 +244,30 @@ def test_what_is_taken_up_over_far_more_than_could_be_lost_is_no_play(space: Wor
         assert best_of(tried, found[0]).shape.get("width", 0.0) <= 0.0101 * travel
 
 
+def test_brief_friction_goes_with_the_load_too(space: Workspace) -> None:
+    """Two sliding elements that a load presses together, over a third of a per cent of the travel, 46 times what they
+    cost, were play that doubles with the load, for certain (another author's 62004)."""
+    k = space.machine.joint_names.index("longitudinal")
+    travel, weight = (
+        float(np.ptp(space.recording.q[:, k])),
+        np.linalg.norm(space.context.wrenches[:, k + 1, :3], axis=1),
+    )
+    width = {"joint": k, "width": 0.01 * travel}
+    lag = Column("frame", "slipping", width, k + 1, own_component(space.context, k)).evaluate(space.context)
+    moved = of_size(space, lag * (weight / weight.mean())[:, None] ** 4, 4.0)
+    machine = replace(space.machine, repeatability=5e-6)
+    there = having_read(
+        replace(space, machine=machine, context=replace(space.context, machine=machine)), space.data + moved
+    )
+    some = [c for c in library(there.context) if c.effect in ("backlash", "friction_hysteresis")]
+    tried = Tried(there, some + named(space, "nameless")[:1], 5e-5)
+    (first, *_) = search(there, tried, np.random.default_rng(0))
+    assert first.name == ("friction_hysteresis", "longitudinal")
+    best = best_of(tried, first)
+    assert best.shape["width"] <= 0.0101 * travel
+    assert best.columns[-1].args["pressed"] == -1
+
+
 @pytest.mark.parametrize(("unsure", "may_be"), [(0.0, False), (0.05, True)])
 def test_a_loss_that_is_not_sure_may_be_larger(
     space: Workspace, monkeypatch: pytest.MonkeyPatch, unsure: float, may_be: bool
