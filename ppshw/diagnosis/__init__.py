@@ -38,6 +38,7 @@ from ppshw.identification.structure import joint_model
 from ppshw.machine import Machine
 from ppshw.recording import Recording
 from ppshw.terms.shapes import named_column
+from ppshw.terms.shapes.wrenches import beside_the_payload
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -236,13 +237,17 @@ def _without(space: Workspace, tried: Tried, found: Sequence[Found]) -> Recordin
     """The recording as it would be without what was found. What the base model would take nearly all of is known by
     what is left alone: where a dead mass of 0.1 mm was said to be one of 0.8, compliances were learnt wrong without it
     (another author's 21087)."""
-    moved, base = np.zeros_like(space.data), space.as_estimated()
+    moved, base, wrench = np.zeros_like(space.data), space.as_estimated(), space.recording.wrench
     for f in found:
+        if tried.candidates[f.best].columns[0].function == "weighed":  # compliances learnt by it make up for much of it
+            wrench = wrench - beside_the_payload(space.context)
+            continue
         whole = moved_by(space, tried.candidates[f.best], f)
         left = base.beyond(whole)
         moved += left if TAKEN * np.linalg.norm(left) < np.linalg.norm(whole) else whole
     shift = moved.reshape(space.recording.points.shape)
-    return replace(space.recording, points=space.recording.points - shift @ space.base.measuring_in_base[:3, :3])
+    points = space.recording.points - shift @ space.base.measuring_in_base[:3, :3]
+    return replace(space.recording, points=points, wrench=wrench)
 
 
 def _answer(
