@@ -236,11 +236,12 @@ def _as_believed(space: Workspace, base: Estimate, believed: Mask) -> Estimate:
 def _without(space: Workspace, tried: Tried, found: Sequence[Found]) -> Recording:
     """The recording as it would be without what was found. What the base model would take nearly all of is known by
     what is left alone: where a dead mass of 0.1 mm was said to be one of 0.8, compliances were learnt wrong without it
-    (another author's 21087)."""
+    (another author's 21087). What the sensor surely misreads is known by its readings, and taken off these: compliances
+    that were learnt with them make up for most of it."""
     moved, base, wrench = np.zeros_like(space.data), space.as_estimated(), space.recording.wrench
     for f in found:
-        if tried.candidates[f.best].columns[0].function == "weighed":  # compliances learnt by it make up for much of it
-            wrench = wrench - beside_the_payload(space.context)
+        if tried.candidates[f.best].columns[0].function == "weighed":
+            wrench = space.recording.wrench - beside_the_payload(space.context)
             continue
         whole = moved_by(space, tried.candidates[f.best], f)
         left = base.beyond(whole)

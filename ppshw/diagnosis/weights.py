@@ -82,12 +82,9 @@ def weigh(space: Workspace, tried: Tried, found: list[Found]) -> None:
             evidence[own] = evidence[top] + whole - explained(space, tried, [*others, rival])
         tempered = evidence / (1 + max(evidence.max(), 0.0) / TEMPER)
         tempered[own] = min(tempered[own], tempered[top] + BY_NEAR_FORMS) if top != own else tempered[own]
-        for wider in (
-            that_hold(f.name, space.machine.joint_names[-1]) if top == own else ()
-        ):  # no form is nearer its own
-            if wider in tried.names:
-                j = tried.names.index(wider)
-                tempered[j] = tempered[own] + evidence[j] - evidence[own]
+        wider = that_hold(f.name, space.machine.joint_names[-1]) if top == own else []
+        for j in [tried.names.index(name) for name in wider if name in tried.names]:
+            tempered[j] = tempered[own] + evidence[j] - evidence[own]  # no machine's form is nearer to these
         weights = np.exp(tempered - logsumexp(tempered))
         if f.name[0] != "nameless":
             weights = weights * (1 - OUTSIDE) + OUTSIDE * np.array([name[0] == "nameless" for name in tried.names])
