@@ -40,6 +40,7 @@ UNITS = {
 }
 ABOUT = 0.2
 NEARLY_TWICE = 0.2  # by which a component's error may differ from twice what it reads
+HARDLY = 0.1  # of what the joint does whose zero jumped farthest
 WEIGHT_TOLD = 0.1  # on the terminal
 LITTLE_SHOWS = 0.5  # of an effect's size: where a base calibration leaves less, that is said
 RAREST = 1e-12
@@ -418,15 +419,20 @@ def _jumps(candidate: Candidate, values: Array, unit: str) -> str:
 
 
 def _homed_anew(c: Context, candidate: Candidate, values: Array) -> str:
-    """How far each joint's zero jumped where all did at once."""
+    """How far each joint's zero jumped where several did at once; those that moved the reflectors hardly beside the
+    others are not told."""
     if candidate.effect != "zero_shift":
         return ""
-    said = []
-    for value, column in zip(values, candidate.columns, strict=True):
-        joint = c.machine.joints[column.frame - 1]
-        said.append(f"{joint.name} by {value * 1e3:+.3f} {'mm' if joint.prismatic else 'mrad'}")
+    far = np.array([np.linalg.norm(k.evaluate(c)) for k in candidate.columns]) * np.abs(values)
+    told = [j for j in range(len(values)) if far[j] > HARDLY * far.max()]
+    joints = [c.machine.joints[candidate.columns[j].frame - 1] for j in told]
+    said = [
+        f"{joint.name} by {values[j] * 1e3:+.3f} {'mm' if joint.prismatic else 'mrad'}"
+        for j, joint in zip(told, joints, strict=True)
+    ]
+    which = "all joints" if len(told) == len(values) else enumerated([joint.name for joint in joints])
     when = f"at once after {candidate.shape['time_h']:.2f} h"
-    return f"the zeros of all joints jumped {when}, as where they are homed anew: {enumerated(said)}"
+    return f"the zeros of {which} jumped {when}, as where they are homed anew: {enumerated(said)}"
 
 
 def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:

@@ -206,6 +206,9 @@ def test_joints_that_are_homed_anew_are_all_said_and_a_single_zero_by_itself(cle
     assert "the zeros of all joints jumped at once after " in said
     names = homed.machine.joint_names
     assert f"{names[3]} by -0.400 mrad, {names[4]} by +0.300 mrad and {names[5]} by +0.200 mrad" in said
+    two = sentence(homed.context, best, values * [0, 0, 1, 0.01, 0, 1], 1e-4)
+    assert f"the zeros of {names[2]} and {names[5]} jumped at once after " in two
+    assert two.count("mrad") == 2
     numbers = numbers_of(homed.context, best, values, np.eye(6))
     assert numbers["step_of_joint_4"] == {"value": pytest.approx(-4e-4), "std": pytest.approx(1.0), "unit": "rad"}
     assert near_forms(homed.context, best) == ()
