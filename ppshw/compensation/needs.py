@@ -11,7 +11,8 @@ from ppshw.terms.shapes import Column
 BY_CLOCK_ALONE = frozenset({"clock", "step", "hopping", "settling"})
 CLOCK = BY_CLOCK_ALONE | {"clock_q"}
 AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
-                     "load_q", "load_near", "load_turn", "bearing", "load_power", "load_knee", "load_beyond",
+                     "load_q", "load_near", "load_wave", "load_turn", "bearing", "load_power", "load_knee",
+                     "load_beyond",
                      "load_side", "load_bump",
                      "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair",
                      "pair_waves", "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled",

@@ -106,6 +106,8 @@ def of_its_kind(
             return falls or (both_of_a_load and _of_its_load(named, rival))
         case "nonlinear_stiffness":
             return _of_its_load(named, rival) and all(column.function in SMOOTH for column in rival.columns)
+        case "missing_compliance":  # that changes along its joint's travel, by waves
+            return here and all(column.function == "load_wave" for column in rival.columns)
         case "moving_weight":
             return all(column.function == "own_weight" for column in rival.columns)
         case "wrench_error":

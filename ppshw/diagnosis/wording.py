@@ -302,6 +302,8 @@ def _along_its_travel(c: Context, candidate: Candidate) -> str:
     function = candidate.columns[0].function
     if function == "load_near":
         return f" more about {candidate.shape['at']:.3g} {shape_unit(c, 'at', candidate)} than elsewhere on its travel"
+    if function == "load_wave":
+        return f" in waves of {candidate.shape['period']:.3g} m along its travel, as a rail between its posts does"
     if function == "bearing":
         return " and the other moment more in one direction of its housing than across it"
     return (

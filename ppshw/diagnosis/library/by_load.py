@@ -56,6 +56,7 @@ FEW_BEYOND, HARDLY_CHANGES = 5, 0.03
 BALANCED = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 # Of a joint's travel: about which places, and up to how far from them, a link may be softer than elsewhere.
 PLACES, STRETCHES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), (0.12, 0.25)
+MOST_POSTS = 12  # half waves over its joint's travel, by which a frame gives way under its load
 HALF_A_CYCLE = 1.5  # rad that a bearing turns at least, to tell its softer direction from a compliance
 
 
@@ -237,6 +238,10 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
                     if joint.prismatic:
                         faster = Column("frame", "load_q", {**args, "degree": 2}, frame, comp)
                         yield Candidate(*where, (grows, faster), {}, 0.3 * share)
+                        if comp == b and np.ptp(c.recording.q[:, frame - 1]) > 0:
+                            for wave in between_posts(c, frame, b):
+                                shape = {"period": float(wave[0].args["period"])}
+                                yield Candidate(*where, wave, shape, 0.3 / MOST_POSTS)
                         continue
                     for order in (1, 2):
                         yield Candidate(*where, tuple(
@@ -253,6 +258,21 @@ def missing_compliance(c: Context) -> Iterator[Candidate]:
         if len(acting) > 1:
             diagonal = tuple(Column("frame", "load", {"frame": frame, "component": b}, frame, b) for b in acting)
             yield Candidate("missing_compliance", name, there, None, "load", diagonal, {}, 2.0)
+
+
+def between_posts(c: Context, frame: int, b: int) -> list[tuple[Column, Column]]:
+    """A frame gives way more to a load, in the load's own direction, by each wave of its joint's position: a rail
+    between its posts. In the order of their halves over the travel."""
+    travel = float(np.ptp(c.recording.q[:, frame - 1]))
+    of = {"frame": frame, "component": b, "joint": frame - 1}
+    every = [{**of, "period": 2.0 * travel / halves} for halves in range(1, MOST_POSTS + 1)]
+    return [
+        (
+            Column("frame", "load_wave", {**wave, "phase": "sin"}, frame, b),
+            Column("frame", "load_wave", {**wave, "phase": "cos"}, frame, b),
+        )
+        for wave in every
+    ]
 
 
 def _last_link_in_any_direction(c: Context, b: int) -> Candidate:

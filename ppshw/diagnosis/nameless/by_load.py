@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.by_instrument import MOST_TARES, weighed
-from ppshw.diagnosis.library.by_load import changes_side
+from ppshw.diagnosis.library.by_load import MOST_POSTS, between_posts, changes_side
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import loads_on, moving_joints, read_channels, temperature_places
 from ppshw.diagnosis.library.weight import own_moment
-from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, half_waves, most_alike, rival, smooth_pair
+from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.loads import load_of
@@ -23,7 +23,6 @@ from ppshw.terms.shapes.wrenches import beside_the_payload
 Array = NDArray[np.float64]
 LOAD_LATE_H = (0.1, 0.4, 1.5)  # lags of loads
 SLIPS = (0.1, 0.3, 1.0)  # widths of slipping springs that a load drives, relative to its spread
-HALF_WAVES = (range(1, 7), range(7, 13))  # over its joint's travel, by which a frame gives way under its load
 LEAST_MOUNTED = 3  # loads one after the other, of which each may seat otherwise
 SUDDENLY_AT, SUDDEN = np.linspace(0.1, 0.9, 9), 0.05  # shares of the visits below a load; over how much of its spread
 SIDES = (0.1, 0.25, 0.5)  # widths that a load must go beyond to push something over
@@ -87,9 +86,11 @@ def _between_posts(c: Context, frame: int, component: int, load: str) -> Iterato
     joint = frame - 1
     if np.ptp(c.recording.q[:, joint]) == 0.0:
         return
-    names = load, f"q_{c.machine.joint_names[joint]}"
-    for halves in HALF_WAVES:
-        yield rival(c, frame, component, names, half_waves(c, joint, component, halves, pressed=component))
+    names, every = (load, f"q_{c.machine.joint_names[joint]}"), between_posts(c, frame, component)
+    for waves in (every[: MOST_POSTS // 2], every[MOST_POSTS // 2 :]):
+        yield rival(c, frame, component, names, [*itertools.chain(*waves)])
+    for wave in every:
+        yield replace(rival(c, frame, component, names, wave), share=1 / MOST_POSTS)
 
 
 def _suddenly(c: Context, frame: int, component: int, load: str) -> Iterator[Candidate]:

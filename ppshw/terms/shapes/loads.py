@@ -36,6 +36,12 @@ def load_near(c: Context, frame: int, component: int, joint: int, at: float, wid
     return np.asarray(c.wrenches[:, frame, component] * np.cos(0.5 * np.pi * away) ** 2)
 
 
+def load_wave(c: Context, frame: int, component: int, joint: int, period: float, phase: str) -> Array:
+    """Times a wave of a joint's position: a spring that is softer between posts than on them."""
+    angle = 2 * np.pi * c.recording.q[:, joint] / period
+    return np.asarray(c.wrenches[:, frame, component] * (np.sin(angle) if phase == "sin" else np.cos(angle)))
+
+
 def load_turn(c: Context, frame: int, component: int, joint: int, order: int, phase: str) -> Array:
     """A component of the wrench on a frame times sine or cosine of `order` times a joint's angle: what gives way more
     in some directions than in others."""

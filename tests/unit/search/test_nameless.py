@@ -116,17 +116,26 @@ def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     assert (best.covariates, best.columns[0].function) == (("q_longitudinal",), "splice")
 
 
-def test_a_rail_that_sags_between_its_posts_goes_by_its_load_and_its_position(space: Workspace) -> None:
-    """Under the payload, four times over the travel, and not on the posts (another author's 038)."""
+def test_a_rail_that_sags_between_its_posts_gives_way_by_its_position_and_is_no_wave_or_coupling(
+    space: Workspace,
+) -> None:
+    """Under the payload, four times over the travel, and not on the posts (another author's 038). Under a moment that
+    changes its sign a coupling and a wave stood for it (0.95 each; 62044)."""
     joint = space.machine.joint_names.index("lateral")
     q = space.recording.q[:, joint]
     carried = space.context.wrenches[:, joint + 1, 1]
     sags = (carried - carried.max()) * np.sin(4 * np.pi * (q - q.min()) / np.ptp(q)) ** 2
     moved = of_size(space, space.context.jacobian[:, :, joint + 1, 1] * sags[:, None], 1.5)
     there = having_read(space, space.data + moved)
-    found, tried = look(there, ["nonlinear_stiffness", "periodic_transmission", "cross_coupling"], "lateral")
+    others = ["nonlinear_stiffness", "periodic_transmission", "cross_coupling"]
+    found, tried = look(there, others, "lateral")
     assert {f.name for f in found} == {("nameless", None)}
     assert best_of(tried, found[0]).covariates == ("on_lateral_Fy", "q_lateral")
+    found, tried = look(there, [*others, "missing_compliance"], "lateral")
+    assert {f.name for f in found} == {("missing_compliance", "lateral")}
+    said = finding(there, tried, found[0])
+    assert said["parameters"]["period"] == {"value": pytest.approx(np.ptp(q) / 4, rel=0.05), "std": None, "unit": "m"}
+    assert " in waves of " in said["sentence"]
 
 
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
