@@ -152,7 +152,7 @@ def test_of_what_the_base_model_takes_nearly_all_of_no_more_is_taken_off_than_it
     column[:, ::3] = 1.0 if what == "taken by the base model" else sides[:, None]
     moved = replace(aside, data=aside.data + 1e-3 * column)
     moved.take_up(column[..., None], np.array([1.0]))
-    tried = SimpleNamespace(candidates=[SimpleNamespace(columns=("the column",))])
+    tried = SimpleNamespace(candidates=[SimpleNamespace(columns=(SimpleNamespace(function="by hand"),))])
     off = moved.recording.points - diagnosis._without(moved, tried, [Found(0, ("drift", None), 0.0, 9.0)]).points  # type: ignore[arg-type]
     size = np.linalg.norm(moved.moved())
     assert size > 0.0
