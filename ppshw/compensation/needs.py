@@ -10,14 +10,13 @@ from ppshw.terms.shapes import Column
 # Functions of the clock, of it alone or not, and those that need nothing of what went before; all others look back.
 BY_CLOCK_ALONE = frozenset({"clock", "step", "hopping", "settling"})
 CLOCK = BY_CLOCK_ALONE | {"clock_q"}
-AT_ONCE = frozenset({"approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load",
-                     "load_q", "load_near", "load_wave", "load_turn", "bearing", "load_power", "load_knee",
-                     "load_beyond",
-                     "load_side", "load_bump",
-                     "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair",
-                     "pair_waves", "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled",
-                     "scale", "target_shift", "carrier_shift", "covariate", "covariate_pair", "unexplained",
-                     "instead"})  # fmt: skip
+AT_ONCE = frozenset({
+    "approach", "approach_q", "temperature", "temperature_q", "link_growth", "wave", "wave_q", "load", "load_q",
+    "load_near", "load_wave", "load_turn", "bearing", "load_power", "load_knee", "load_beyond", "load_side",
+    "load_bump", "load_legendre", "load_warm", "softened", "own_weight", "own_bend", "hanging", "pair", "pair_waves",
+    "product", "body_weight", "sensor_error", "weighed", "sensor_off", "pulled", "scale", "target_shift",
+    "carrier_shift", "covariate", "covariate_pair", "unexplained", "instead",
+})  # fmt: skip
 FROM_WAY = frozenset({"reversal", "turning", "slipping", "winding"})  # as far as a joint has gone since it turned back
 FROM_APPROACH = frozenset({"approach", "approach_q"}) | FROM_WAY
 BEFORE_IT = ("first", "began")  # forms of creep: of what had hung there before the calibration's recording

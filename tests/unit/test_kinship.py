@@ -20,6 +20,7 @@ from ppshw.diagnosis.kinship import (
     of_a_load,
     of_its_kind,
     stranger_than,
+    that_hold,
 )
 from ppshw.diagnosis.library import Candidate
 from ppshw.machine import WRENCH_COMPONENTS, load_machine
@@ -291,3 +292,11 @@ def test_compliance_that_goes_with_a_temperature_is_the_odder_story_beside_growt
 ) -> None:
     named = _named(effect, "yaw", "yaw", "ty", "temp_air_C")
     assert stranger_than(named, _rival("roll", "ty", "on_roll_Fy", f"temp_{place}_C", function=function)) is stranger
+
+
+def test_a_single_zero_is_one_of_all_and_that_of_the_last_joint_one_of_what_is_behind_it() -> None:
+    every, carrier = ("zero_shift", None), ("target_moved", None)
+    assert that_hold(("zero_shift", "yaw"), "pitch") == [every]
+    assert that_hold(("zero_shift", "pitch"), "pitch") == [every, carrier]
+    for other in (every, carrier, ("backlash", "pitch")):
+        assert that_hold(other, "pitch") == []

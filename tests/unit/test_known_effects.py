@@ -827,7 +827,9 @@ def test_an_error_of_the_instrument_is_not_driven_into_the_machine() -> None:
 
 
 def test_reflectors_that_were_knocked_as_one_body_may_be_the_last_link_and_it_says_so() -> None:
-    found = asked(knowing("target_moved", None, Column("points", "carrier_shift", {"axis": 1, "since": 0.1}), 3e-4))
+    found = asked(
+        knowing("target_moved", None, Column("points", "carrier_shift", {"axis": 1, "turn": True, "since": 0.1}), 3e-4)
+    )
     np.testing.assert_allclose(found.corrected, asked(Compensator(base()[1])).corrected, atol=1e-9)
     assert not found.effects[0].taken_out
     assert "where the last link slipped instead, the tip is off by as much" in found.effects[0].why

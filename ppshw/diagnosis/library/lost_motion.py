@@ -57,10 +57,8 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
             yield Candidate(*where, columns, share=share)
         for taken, share in _by_its_load(c, k, sign):  # a gap that the load takes up
             yield Candidate(*where, (sign, taken), share=share)
-        for comp in range(6):
-            if comp != nearest_component(c, k):  # a carriage that rocks as it turns back
-                rocks = Column("frame", "approach", {"joint": k}, k + 1, comp)
-                yield Candidate(*where, (sign, rocks), share=ROCKS)
+        for sideways in _across(c, k, sign):  # a carriage that rocks as it turns back
+            yield Candidate(*where, (sign, sideways), share=ROCKS)
 
 
 def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
@@ -79,13 +77,16 @@ def friction(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
                 yield Candidate(*where, (lag,), {"width": width, **shape}, share)
                 for more, part in _by_its_load(c, k, lag):
                     yield Candidate(*where, (lag, more), {"width": width, **shape}, part * share)
-                for comp in range(6) if not shape else ():
-                    if comp != nearest_component(c, k):  # as it winds up, it rocks
-                        rocks = replace(lag, component=comp)
-                        yield Candidate(*where, (lag, rocks), {"width": width}, ROCKS)
+                for sideways in _across(c, k, lag) if not shape else ():  # as it winds up, it rocks
+                    yield Candidate(*where, (lag, sideways), {"width": width}, ROCKS)
         for width, rest_h in itertools.product(map(float, float(np.ptp(c.recording.q[:, k])) * LETS_GO), RESTS_H):
             column = _along_it(c, k, "winding", way=width, rest_h=rest_h)
             yield Candidate(*where, (column,), {"width": width, "rest_h": rest_h}, AT_REST)
+
+
+def _across(c: Context, k: int, lost: Column) -> list[Column]:
+    """What a joint loses in every component but its own."""
+    return [replace(lost, component=comp) for comp in range(6) if comp != nearest_component(c, k)]
 
 
 def _by_its_load(c: Context, k: int, lost: Column) -> Iterator[tuple[Column, float]]:

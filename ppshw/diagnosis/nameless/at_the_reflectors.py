@@ -82,9 +82,9 @@ def at_the_reflectors(c: Context) -> Iterator[Candidate]:
                 for order in range(least, most + 1) for phase in ("sin", "cos")
             )  # fmt: skip
             yield Candidate("nameless", None, None, None, angle, off)
-    far = np.linalg.norm(rays_to(c), axis=2)
-    for halves in range(FEWEST_WAVES, MOST_WAVES + 1):  # of a distance meter that compares phases
-        period = 2.0 * float(np.ptp(far)) / halves
+    span = float(np.ptp(np.linalg.norm(rays_to(c), axis=2)))
+    for halves in range(FEWEST_WAVES, MOST_WAVES + 1) if span > 0.0 else ():  # of a meter that compares phases
+        period = 2.0 * span / halves
         wave = tuple(Column("points", "range_wave", {"period": period, "phase": phase}) for phase in ("sin", "cos"))
         yield Candidate("nameless", None, None, None, "distance", wave, share=1.0 / MOST_WAVES)
     warm = temperature_places(c)

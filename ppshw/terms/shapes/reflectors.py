@@ -38,12 +38,12 @@ def target_shift(
     return out
 
 
-def carrier_shift(c: Context, axis: int, turn: bool = False, since: float = -1.0) -> Array:
-    """All reflectors moved as one body along an axis of the end effector, or turned about one through its tip, always
-    or from a moment on (hours since the start): what carries them was knocked."""
+def carrier_shift(c: Context, axis: int, turn: bool, since: float) -> Array:
+    """All reflectors moved as one body along an axis of the end effector, or turned about one through its tip, from a
+    moment on (hours since the start): what carries them was knocked."""
     along = c.tips[:, None, :3, axis]
     out = np.cross(along, c.points - c.tips[:, None, :3, 3]) if turn else np.broadcast_to(along, c.points.shape)
-    return out * step(c, since)[:, None, None] if since >= 0 else np.array(out)
+    return np.asarray(out * step(c, since)[:, None, None])
 
 
 def turned_shift(c: Context, target: int, along: int, axis: int = -1, points: int = -1) -> Array:

@@ -199,6 +199,21 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     assert best_of(tried, found[0]).covariates == (load,)
 
 
+def test_a_plate_that_warps_under_its_load_whichever_way_it_hangs_is_unexplained_over_the_load(tmp_path: Path) -> None:
+    """On an arm, which turns its load over: it was creep, for certain (another author's 61020)."""
+    space = prepare(*(case := clean_case(60534, "arm6", 240, 180, tmp_path)), np.ones(len(case[1]), dtype=bool))
+    c = space.context
+    ways = np.random.default_rng(3).normal(size=(c.points.shape[1], 3))
+    weight = np.linalg.norm(c.recording.wrench[:, :3], axis=1)
+    weight -= weight.mean()  # under which the reflectors are where the file has them
+    moved = np.einsum("nij,tj,n->nti", c.tips[:, :3, :3], ways, weight).reshape(len(weight), -1)
+    there = having_read(space, space.data + of_size(space, moved, 2.0))
+    tried = Tried(there, [k for k in library(c) if k.effect in ("creep", "target_moved")] + nameless(c), 5e-5)
+    found = search(there, tried, np.random.default_rng(0))
+    assert {f.name[0] for f in found} == {"nameless"}
+    assert best_of(tried, max(found, key=lambda f: f.evidence)).covariates == ("load",)
+
+
 def test_a_reflector_whose_mount_gives_way_as_it_is_turned_over_is_said_of_it(tmp_path: Path) -> None:
     """On an arm; the load goes with the attitude too, and a heavier end effector was found beside a function of that
     (another author's 045)."""
