@@ -197,7 +197,7 @@ def _look(
     every = [k for k in every if most >= len(k.columns)]
     named = as_weighed(space.context, every)
     kept, unnamed = {id(k) for k in named}, waves if "periodic_transmission" in without else []
-    candidates = named + [k for k in nameless(space.context, jumps, unnamed) if most >= len(k.columns)]
+    candidates = named + [k for k in nameless(space.context, jumps, unnamed, without) if most >= len(k.columns)]
     give_back()
     tried = Tried(space, candidates, space.unit, without, [k for k in every if id(k) not in kept])
     tell(2)

@@ -168,9 +168,10 @@ def of_a_load(finding: Candidate) -> int | None:
 
 
 def _of_its_load(named: Candidate, rival: Candidate) -> bool:
-    """Whether a rival is a function of the very load that the name goes with, at the very place."""
+    """Whether a rival is a function of the very load that the name goes with, at the very place, out of proportion."""
     here = (named.frame, named.component) == (rival.frame, rival.component)
-    return here and rival.covariates == (f"on_{named.frame}_{named.covariate}",)
+    in_proportion = all(column.function == "load" for column in rival.columns)
+    return here and not in_proportion and rival.covariates == (f"on_{named.frame}_{named.covariate}",)
 
 
 def _alike(named: Candidate, rival: Candidate, unturned: Unturned) -> bool:

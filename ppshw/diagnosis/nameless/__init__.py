@@ -15,7 +15,7 @@ located by its columns. docs/diagnosis-method.md §1.3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ppshw.diagnosis.library.by_position import FineWave
@@ -29,7 +29,7 @@ from ppshw.diagnosis.nameless.by_columns import (
     of_two_columns,
     with_another_position,
 )
-from ppshw.diagnosis.nameless.by_load import by_own_weight, mounted, of_what_was_read, pulls, under_load
+from ppshw.diagnosis.nameless.by_load import by_own_weight, in_proportion, mounted, of_what_was_read, pulls, under_load
 from ppshw.diagnosis.nameless.by_motion import own_heat, random_seats, reversals, where_it_rests
 from ppshw.diagnosis.nameless.by_position import dents, finely, of_three_positions, of_two_positions, splices
 from ppshw.diagnosis.nameless.by_time import at_a_moment, rhythms
@@ -39,20 +39,25 @@ __all__ = ["nameless"]
 
 
 @all_kept()
-def nameless(c: Context, jumps: Sequence[Jumps] = (), waves: Sequence[FineWave] = ()) -> list[Candidate]:
+def nameless(
+    c: Context, jumps: Sequence[Jumps] = (), waves: Sequence[FineWave] = (), without: frozenset[str] = frozenset()
+) -> list[Candidate]:
     """All rivals without a name for a recording: kinds share alike, and candidates in a kind as they say; shares add up
     to one.
 
-    jumps  moments of several jumps of a joint that the recording speaks for most
-    waves  finer than every joint is asked for, where they may have no name
+    jumps    moments of several jumps of a joint that the recording speaks for most
+    waves    finer than every joint is asked for, where they may have no name
+    without  effects that have no name: what a link that the file has rigid does in proportion to its load may need none
     """
     at_some_moments = partial(at_a_moment, jumps=jumps)
-    makers = (
+    makers: list[Callable[[Context], Iterator[Candidate]]] = [
         of_one_column, along_a_joint, base_in_all_directions, at_some_moments, rhythms, random_seats, reversals,
         under_load, by_own_weight, mounted, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns,
         partial(finely, waves=waves), dents, splices, of_two_positions, of_three_positions, at_the_reflectors,
         where_it_rests,
-    )  # fmt: skip
+    ]  # fmt: skip
+    if "missing_compliance" in without:
+        makers.append(in_proportion)
     kinds = [kind for kind in (list(make(c)) for make in makers) if kind]
     for kind in kinds:
         whole = sum(k.share for k in kind)

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from ppshw.diagnosis.library.by_instrument import MOST_TARES, weighed
 from ppshw.diagnosis.library.by_load import MOST_POSTS, between_posts, changes_side
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import loads_on, moving_joints, read_channels, temperature_places
+from ppshw.diagnosis.library.sampled import (
+    elastic_frames,
+    loads_on,
+    moving_joints,
+    read_channels,
+    temperature_places,
+)
 from ppshw.diagnosis.library.weight import own_moment
 from ppshw.diagnosis.nameless.rival import ABOUT_ZERO, LATE_H, bumps, most_alike, rival, smooth_pair
 from ppshw.machine import WRENCH_COMPONENTS
@@ -72,6 +78,19 @@ def under_load(c: Context) -> Iterator[Candidate]:
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[most]}"
             found = [rival(c, frame, None, (load, f"temp_{place}_C"), softer)]
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, most])
+
+
+def in_proportion(c: Context) -> Iterator[Candidate]:
+    """A link that the machine file has rigid gives way in proportion to its load, in the load's own direction: where
+    missing compliance has no name, or its stiffness would be out of proportion by a form that has both (a sixty-second
+    author's 019, its name taken out)."""
+    bent = {frame: set(acting) for frame, _, acting in elastic_frames(c)}
+    for frame in range(1, c.machine.n + 1):
+        for b in set(loads_on(c, frame)) - bent.get(frame, set()):
+            load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
+            column = Column("frame", "load", {"frame": frame, "component": b}, frame, b)
+            found = [rival(c, frame, b, (load,), (column,))]
+            yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
 
 
 def _across(frame: int, component: int, comp: int) -> list[Column]:

@@ -65,6 +65,25 @@ def test_a_link_that_the_file_has_rigid_may_give_way_out_of_proportion(space: Wo
     assert said["compliance1"]["unit"] == "rad/(N m)"
 
 
+@pytest.mark.parametrize(("name", "component"), [("longitudinal", 3), ("pitch", 4)])
+def test_what_a_rigid_link_does_in_proportion_to_its_load_is_no_stiffness_out_of_proportion(
+    space: Workspace, name: str, component: int
+) -> None:
+    """Whose forms have a part in proportion there: with missing compliance taken out it was one, for certain (another
+    author's 62019)."""
+    joint, out = space.machine.joint_names.index(name), frozenset({"missing_compliance"})
+    rigid = [replace(each, elastic=None) if k == joint else each for k, each in enumerate(space.machine.joints)]
+    there = prepare(replace(space.machine, joints=tuple(rigid)), space.recording, space.fit)
+    load = Column("frame", "load", {"frame": joint + 1, "component": component}, joint + 1, component)
+    there = moved_by(there, load, 8.0)
+    mine = [k for k in named(there, "nonlinear_stiffness", "clearance") if k.joint == name]
+    over = [k for k in nameless(there.context, without=out) if k.frame == name]
+    tried = Tried(there, mine + over, 5e-5, out)
+    (found,) = search(there, tried, np.random.default_rng(0))
+    assert found.name == ("nameless", None)
+    assert best_of(tried, found).columns == (load,)
+
+
 @pytest.mark.parametrize("below", [0.26, 0.44, 0.66])
 def test_a_joint_that_falls_at_a_load_which_never_changes_sign_is_told_from_the_next_one(
     space: Workspace, below: float
