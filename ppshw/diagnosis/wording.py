@@ -441,6 +441,8 @@ def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:
     """What lost motion is under another load, where it goes with the load: taken up, or pressed into more."""
     last, more = candidate.columns[-1], values[-1]
     if "pressed" in last.args:
+        if (values[0] + more) * values[0] < 0.0:  # taken up before: by a straight line less than nothing beyond
+            return f" (nothing from {1.0 - values[0] / more:.2f} times its mean load on)"
         return f" ({2 * abs(values[0] + more) * 1e3:.3f} {unit} at twice its mean load)"
     if "tilted" in last.args:
         way, load = "more" if more * values[0] > 0 else "less", WRENCH_COMPONENTS[last.args["tilted"]]

@@ -98,6 +98,9 @@ def test_lost_motion_that_a_load_takes_up_is_said_with_what_is_left_of_it(contex
     unit = "mm" if str(taken_up.component).startswith("t") else "mrad"
     said = sentence(context, taken_up, np.array([-5e-5, 4e-5]), 1e-4)
     assert f"by 0.100 {unit} (0.020 {unit} at twice its mean load)" in said
+    # more than all of it: it said 0.100 once more, as if the gap opened under its load (a reviewer's)
+    said = sentence(context, taken_up, np.array([-5e-5, 1e-4]), 1e-4)
+    assert f"by 0.100 {unit} (nothing from 1.50 times its mean load on)" in said
 
 
 def of(effect: str, joint: str | None, **more: float) -> dict[str, object]:
