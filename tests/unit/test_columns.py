@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
 from ppshw.diagnosis.columns import moments as asked
@@ -303,6 +304,24 @@ def test_channels_of_the_force_sensor_that_are_exchanged(
     mended, found = plain_mistakes(machine, replace(recording, wrench=wrench))
     assert [(m.column, m.factor) for m in found] == [(f"{WRENCH_COMPONENTS[a]} and {WRENCH_COMPONENTS[b]}", None)]
     assert np.array_equal(mended.wrench, recording.wrench)
+
+
+def test_wrenches_in_axes_of_the_base(case: tuple[Machine, Recording]) -> None:
+    """Which some sensors can be set to: they were creep and a missing compliance for certain (a reviewer's)."""
+    machine, recording = case
+    in_base = np.empty_like(recording.wrench)
+    for k, q in enumerate(recording.q):
+        turn = np.eye(3)
+        for joint, value in zip(machine.joints, q, strict=True):
+            turn = turn @ joint.origin[:3, :3]
+            if not joint.prismatic:
+                turn = turn @ Rotation.from_rotvec(value * joint.axis).as_matrix()
+        turn = turn @ machine.sensor_in_link[:3, :3]
+        in_base[k] = np.concatenate([turn @ recording.wrench[k, :3], turn @ recording.wrench[k, 3:]])
+    mended, found = plain_mistakes(machine, replace(recording, wrench=in_base))
+    assert [m.said for m in found] == ["the columns Fx … Mz are in axes of the base, expected the force sensor's own"]
+    assert found[0].finding()["sentence"].endswith("; they were turned by the ideal machine.")
+    assert np.allclose(mended.wrench, recording.wrench)
 
 
 def test_a_force_that_leaks_into_a_moment_is_no_exchange_of_moments(case: tuple[Machine, Recording]) -> None:

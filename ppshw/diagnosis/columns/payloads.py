@@ -31,6 +31,7 @@ ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, wh
 ONE_PAIR = 2.5
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 KILO = "is in kilonewtons, expected newtons"
+BASE_AXES = "is in axes of the base, expected the force sensor's own"
 TOO = " (the moments too, if they go with the forces)"  # where nobody asked, or the visits do not tell
 
 
@@ -50,6 +51,9 @@ def mistaken_wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[
     for k in FORCES:
         changed = times(recording, (k,), 1e3)
         yield Mistake(WRENCH_COMPONENTS[k], 1e3, KILO, before, _unlike_a_payload(recording, changed.wrench, g)), changed
+    turned = _from_base_axes(machine, recording)
+    after = _unlike_a_payload(recording, turned.wrench, g)
+    yield Mistake(named(range(6)), None, BASE_AXES, before, after, "turned by the ideal machine"), turned
     exchanged = []
     for three, (first, second) in itertools.product((FORCES, MOMENTS), AXES):
         wrench, a, b = recording.wrench.copy(), three[first], three[second]
@@ -60,6 +64,13 @@ def mistaken_wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[
     least, next_to_it = sorted(mistake.after for mistake, _ in exchanged)[:2]
     if next_to_it > ONE_PAIR * least:
         yield from exchanged
+
+
+def _from_base_axes(machine: Machine, recording: Recording) -> Recording:
+    """The recording whose wrenches, about the sensor, were in axes of the base: in the sensor's."""
+    sensor = frames(machine, recording.q)[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
+    in_base = recording.wrench.reshape(-1, 2, 3)
+    return replace(recording, wrench=np.einsum("nji,ncj->nci", sensor, in_base).reshape(-1, 6))
 
 
 def mistaken_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mistake, Recording]]:
