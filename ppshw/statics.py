@@ -18,8 +18,12 @@ Array = NDArray[np.float64]
 
 def gravity_in_sensor(machine: Machine, chain: Array) -> Array:
     """(N, 3) gravity in the force sensor's frame [m/s²], of chains (N, n+1, 4, 4)."""
-    sensor = chain[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
-    return np.asarray(np.einsum("nji,j->ni", sensor, machine.gravity))
+    return np.asarray(np.einsum("nji,j->ni", sensor_axes(machine, chain), machine.gravity))
+
+
+def sensor_axes(machine: Machine, chain: Array) -> Array:
+    """(N, 3, 3) the force sensor's axes in the base, one a column, of chains (N, n+1, 4, 4)."""
+    return np.asarray(chain[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3])
 
 
 def link_wrenches(machine: Machine, chain: Array, payload: Array, gravity: Array | None = None) -> Array:

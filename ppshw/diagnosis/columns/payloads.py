@@ -14,7 +14,7 @@ from ppshw.identification.plausible import LOADED_N, LOADED_NM
 from ppshw.kinematics import frames
 from ppshw.machine import WRENCH_COMPONENTS, Machine
 from ppshw.recording import Recording
-from ppshw.statics import gravity_in_sensor
+from ppshw.statics import gravity_in_sensor, sensor_axes
 from ppshw.terms.history import payloads, weighs
 
 Array = NDArray[np.float64]
@@ -39,7 +39,8 @@ def mistaken_wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[
     either = loaded(recording, FORCES, LOADED_N) or loaded(recording, MOMENTS, LOADED_NM)
     if not has(recording, range(6)) or not either:
         return
-    g = gravity_in_sensor(machine, frames(machine, recording.q))
+    chain = frames(machine, recording.q)
+    g = gravity_in_sensor(machine, chain)
     before = _unlike_a_payload(recording, recording.wrench, g)
     if before < GROSS_WRENCH:
         return
@@ -51,7 +52,7 @@ def mistaken_wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[
     for k in FORCES:
         changed = times(recording, (k,), 1e3)
         yield Mistake(WRENCH_COMPONENTS[k], 1e3, KILO, before, _unlike_a_payload(recording, changed.wrench, g)), changed
-    turned = _from_base_axes(machine, recording)
+    turned = _from_base_axes(recording, sensor_axes(machine, chain))
     after = _unlike_a_payload(recording, turned.wrench, g)
     yield Mistake(named(range(6)), None, BASE_AXES, before, after, "turned by the ideal machine"), turned
     exchanged = []
@@ -66,9 +67,8 @@ def mistaken_wrenches(machine: Machine, recording: Recording) -> Iterator[tuple[
         yield from exchanged
 
 
-def _from_base_axes(machine: Machine, recording: Recording) -> Recording:
-    """The recording whose wrenches, about the sensor, were in axes of the base: in the sensor's."""
-    sensor = frames(machine, recording.q)[:, -1, :3, :3] @ machine.sensor_in_link[:3, :3]
+def _from_base_axes(recording: Recording, sensor: Array) -> Recording:
+    """The recording whose wrenches, about the sensor, were in axes of the base: in the sensor's (N, 3, 3)."""
     in_base = recording.wrench.reshape(-1, 2, 3)
     return replace(recording, wrench=np.einsum("nji,ncj->nci", sensor, in_base).reshape(-1, 6))
 

@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import temperature_places
 from ppshw.recording import Recording
-from ppshw.statics import gravity_in_sensor
+from ppshw.statics import sensor_axes
 from ppshw.terms.history import beside_payloads, payloads, weighs
 from ppshw.terms.shapes import Column, Context, named_column
 from ppshw.terms.shapes.sensor import misread
@@ -110,8 +110,7 @@ def may_be_pulled(c: Context) -> bool:
 
 def _base_axes_at_sensor(c: Context) -> list[Array]:
     """Three (N, 3): the base's axes as the sensor has them."""
-    chain = chain_as_read(c)
-    return [gravity_in_sensor(replace(c.machine, gravity=axis), chain) for axis in np.eye(3)]
+    return list(np.swapaxes(sensor_axes(c.machine, chain_as_read(c)), 0, 1))
 
 
 def _largest(r: Recording) -> Array:

@@ -81,9 +81,9 @@ def under_load(c: Context) -> Iterator[Candidate]:
 
 
 def in_proportion(c: Context) -> Iterator[Candidate]:
-    """A link that the machine file has rigid gives way in proportion to its load, in the load's own direction: where
-    missing compliance has no name, or its stiffness would be out of proportion by a form that has both (a sixty-second
-    author's 019, its name taken out)."""
+    """A link that the machine file has rigid gives way in proportion to its load, in the load's own direction. With the
+    name of missing compliance taken out it was a stiffness out of proportion, whose form there has such a part (a
+    sixty-second author's 019)."""
     bent = {frame: set(acting) for frame, _, acting in elastic_frames(c)}
     for frame in range(1, c.machine.n + 1):
         for b in set(loads_on(c, frame)) - bent.get(frame, set()):
