@@ -140,6 +140,8 @@ def misread_name(args: Mapping[str, Any], again: bool) -> str:
     hourly = "_per_hour" * (args.get("time") == "linear")
     if "turned" in args:
         return f"turned_{'xyz'[args['turned']]}" + "_versine" * (args.get("times") == 2)
+    if "about" in args:
+        return f"moments_about_{'xyz'[args['about']]}"
     if of < 0:
         return "gain" + (f"_of_{args['only']}" if "only" in args else kelvin or hourly)
     name = WRENCH_COMPONENTS[of] + (f"_by_{WRENCH_COMPONENTS[source]}" if source >= 0 else "")
@@ -156,6 +158,8 @@ def misread_unit(args: Mapping[str, Any]) -> str:
     of, source = args["component"], args.get("source", -1)
     if "turned" in args:
         return "1" if args.get("times") == 2 else "rad"
+    if "about" in args:
+        return "m"
     if "place" in args and (of < 0 or source == of):
         return "1/K"
     if of < 0:

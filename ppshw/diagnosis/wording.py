@@ -391,6 +391,10 @@ def _misreads(candidate: Candidate, values: Array) -> str:
         return " reads other than what hangs there weighs in every attitude"
     if "turned" in args:
         return f" reads as if it were mounted {turned(candidate.columns, values)}"
+    if "about" in args:
+        axes = ["xyz"[k.args["about"]] for k in candidate.columns]
+        off = [f"{1e3 * v:+.0f} mm along its {axis}" for v, axis in zip(values, axes, strict=True)]
+        return f"'s moments are about a point {enumerated(off)} from the origin in its machine file"
     if "only" in args:
         times = 1.0 / (1.0 - values[0]) if values[0] < 1.0 else np.inf
         units = [f", nearly as if in {name}" for name, of_it in UNITS[args["only"]] if abs(times / of_it - 1.0) < ABOUT]

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, plain_mistakes
-from ppshw.diagnosis.columns import moments as asked
-from ppshw.diagnosis.columns.moments import _of_each_load
+from ppshw.diagnosis.columns import column_mistakes, doubts_of_gravity, levers, moments, plain_mistakes
+from ppshw.diagnosis.columns.halves import in_blocks, left_of_the_others, of_each_load, plainly
 from ppshw.errors import RecordingError
+from ppshw.identification.joint import Estimate
 from ppshw.machine import WRENCH_COMPONENTS, Machine, load_machine
 from ppshw.recording import Recording, load_recording
 from simulators.concealed.case import make_case
@@ -31,22 +31,22 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 def each_base_model_once() -> Iterator[None]:
     """Most tests end with the same sound recording, of which the sign of the moments is asked by two fits."""
     known: dict[tuple[object, ...], NDArray[np.float64]] = {}
-    left = asked._left
 
     def once(
         machine: Machine,
         recording: Recording,
-        fit_to: Callable[..., asked.Estimate] = asked._plainly,
-        halves: Callable[..., NDArray[np.bool_]] = asked._in_blocks,
+        fit_to: Callable[..., Estimate] = plainly,
+        halves: Callable[..., NDArray[np.bool_]] = in_blocks,
     ) -> NDArray[np.float64]:
         arrays = recording.q, recording.points, recording.wrench, recording.time
         key = (machine.sha256, fit_to, halves, recording.load, *(array.tobytes() for array in arrays))
         if key not in known:
-            known[key] = left(machine, recording, fit_to, halves)
+            known[key] = left_of_the_others(machine, recording, fit_to, halves)
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asked, "_left", once)
+        for module in (moments, levers):
+            patch.setattr(module, "left_of_the_others", once)
         yield
 
 
@@ -218,6 +218,28 @@ def test_moments_in_newton_millimetres_beside_newtons(case: tuple[Machine, Recor
     assert [(m.column, m.factor) for m in found] == [("Mx … Mz", 1e-3)]
     assert "are in newton millimetres, expected newton metres" in found[0].said
     assert np.allclose(mended.wrench, recording.wrench)
+
+
+@pytest.mark.parametrize("case", ["pps"], indirect=True)  # the arm's loads lie so near that they are not far off
+@pytest.mark.parametrize(
+    ("force", "moment", "said"),
+    [
+        (9.80665, 1.0, ["Fx … Fz are in kilograms, expected newtons"]),
+        (4.4482216, 0.11298483, ["Fx … Fz are in pounds-force, expected newtons",
+                                 "Mx … Mz are in pound-force inches, expected newton metres"]),
+        (1.0, 0.01, ["Mx … Mz are in newton centimetres, expected newton metres"]),
+    ],
+)  # fmt: skip
+def test_units_by_which_loads_hang_metres_off_are_told_by_the_machine(
+    case: tuple[Machine, Recording], force: float, moment: float, said: list[str]
+) -> None:
+    """Forces in kilograms beside N·m were a positioner's stiffness out of proportion, 0.95 (a reviewer's)."""
+    machine, recording = case
+    misread = replace(recording, wrench=recording.wrench / np.repeat([force, moment], 3))
+    mended, found = column_mistakes(machine, misread)
+    assert [m.said.removeprefix("the columns ").split(" (")[0] for m in found] == said
+    assert np.allclose(mended.wrench, recording.wrench)
+    assert plain_mistakes(machine, misread)[1] == [] or moment == 0.01
 
 
 def test_a_weight_that_may_be_either_is_left_alone(case: tuple[Machine, Recording]) -> None:
@@ -403,12 +425,12 @@ def test_both_halves_that_tell_the_moments_sign_have_every_load() -> None:
     """Of four loads one after the other a half saw two alone: what the others bend was guessed, and a right sign turned
     (a reviewer's lift and turntable)."""
     load = ("a",) * 15 + ("b",) * 13 + ("c",) * 17 + ("d",) * 15
-    first = _of_each_load(load)
+    first = of_each_load(load)
     for label in "abcd":
         share = np.mean(first[np.array(load) == label])
         assert 0.4 <= share <= 0.62
-    assert _of_each_load(("once", *load)).tolist() == [True, *first.tolist()]
-    many = _of_each_load(("a",) * 300)
+    assert of_each_load(("once", *load)).tolist() == [True, *first.tolist()]
+    many = of_each_load(("a",) * 300)
     assert np.flatnonzero(np.diff(many.astype(int))).tolist() == list(range(14, 299, 15))
 
 
@@ -418,9 +440,9 @@ def test_a_sign_that_only_loads_tell_which_a_half_never_saw_is_left_alone(
 ) -> None:
     machine, recording = case
 
-    def left(_: Machine, r: Recording, fit_to: object = None, halves: object = asked._in_blocks) -> NDArray[np.float64]:
+    def left(_: Machine, r: Recording, fit_to: object = None, halves: object = in_blocks) -> NDArray[np.float64]:
         turned = not np.array_equal(r.wrench, recording.wrench)
-        return np.linspace(0.1, 2.0, len(r)) * (1e-4 if turned == (agree or halves is asked._in_blocks) else 2e-4)
+        return np.linspace(0.1, 2.0, len(r)) * (1e-4 if turned == (agree or halves is in_blocks) else 2e-4)
 
-    monkeypatch.setattr(asked, "_left", left)
+    monkeypatch.setattr(moments, "left_of_the_others", left)
     assert [m.factor for m in column_mistakes(machine, recording)[1]] == ([-1.0] if agree else [])

@@ -5,7 +5,9 @@ centimetres, a payload hangs down, and a mistake of a whole column is not to be 
     positions.py  joints and reflectors, by where the ideal machine has them
     sides.py      directions of approach, by the ways that joints went
     payloads.py   forces and moments, by what a payload may be
-    moments.py    their sign, by the machine that gives way to them
+    levers.py     their units, by the machine that gives way to them where loads would hang far off
+    moments.py    their sign, by the same
+    halves.py     what the base model of half of the visits leaves of the others
 
 A payload's moments fit its forces with either sign, as a load on the other side; which it is the machine says, that
 gives way to them. What cannot be told: a single moment's sign where the sensor stays level; the scale of all forces
@@ -14,6 +16,7 @@ and moments, which is another load.
 
 from __future__ import annotations
 
+from ppshw.diagnosis.columns.levers import with_their_units
 from ppshw.diagnosis.columns.mistake import Mistake
 from ppshw.diagnosis.columns.moments import doubts_of_moments, with_their_sign
 from ppshw.diagnosis.columns.payloads import doubts_of_gravity, mistaken_units, mistaken_wrenches
@@ -29,10 +32,11 @@ __all__ = ["Mistake", "column_mistakes", "doubts_of_gravity", "doubts_of_moments
 def column_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:
     """The recording with its columns set right, and what was wrong with them; one mistake after the other.
 
-    Whether moments have the sign of their forces is asked of the base model, which takes some seconds. Raises
-    RecordingError where the recording can be none of this machine's even so.
+    Whether moments have the sign of their forces is asked of the base model, which takes some seconds, and whether both
+    are in units that go together where loads would hang far off. Raises RecordingError where the recording can be none
+    of this machine's even so.
     """
-    return with_their_sign(machine, *plain_mistakes(machine, recording))
+    return with_their_sign(machine, *with_their_units(machine, *plain_mistakes(machine, recording)))
 
 
 def plain_mistakes(machine: Machine, recording: Recording) -> tuple[Recording, list[Mistake]]:

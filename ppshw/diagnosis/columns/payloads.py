@@ -31,6 +31,7 @@ ASKEW = np.pi / 4  # a payload's weight does not point this far from gravity, wh
 ONE_PAIR = 2.5
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 KILO = "is in kilonewtons, expected newtons"
+MILLI = "is in newton millimetres, expected newton metres"
 BASE_AXES = "is in axes of the base, expected the force sensor's own"
 TOO = " (the moments too, if they go with the forces)"  # where nobody asked, or the visits do not tell
 
@@ -78,13 +79,7 @@ def mistaken_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mis
     That is said of the whole force: the part along gravity is small where the machine file has another gravity."""
     if not has(recording, FORCES) or not loaded(recording, MOMENTS, LOADED_NM):
         return
-    g = gravity_in_sensor(machine, frames(machine, recording.q))
-    held = payloads(recording.wrench, recording.load, g)
-    size = np.linalg.norm(recording.wrench[:, MOMENTS], axis=1)
-    heavy = size > 0.1 * size.max()
-    force = np.linalg.norm(recording.wrench[heavy, :3], axis=1)
-    weights = np.linalg.norm(held[heavy, 1:], axis=1) * np.linalg.norm(g[heavy], axis=1)
-    lever, hangs = float(np.median(weights / np.maximum(force, 1e-30))), float(np.median(force))
+    lever, hangs = hanging_at(machine, recording)
     if lever <= LEVER_M:
         return
     far = f"(loads would hang {lever:.0f} m off the sensor)"
@@ -92,8 +87,19 @@ def mistaken_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mis
         what = f"{KILO} {far}"
         yield Mistake(named(FORCES), 1e3, what, lever, 1e-3 * lever), times(recording, FORCES, 1e3)
     elif hangs > LEAST_N:
-        what = f"is in newton millimetres, expected newton metres {far}"
+        what = f"{MILLI} {far}"
         yield Mistake(named(MOMENTS), 1e-3, what, lever, 1e-3 * lever), times(recording, MOMENTS, 1e-3)
+
+
+def hanging_at(machine: Machine, recording: Recording) -> tuple[float, float]:
+    """How far from the sensor loads hang [m], and what pulls there [N], at the middle one of the visits with one."""
+    g = gravity_in_sensor(machine, frames(machine, recording.q))
+    held = payloads(recording.wrench, recording.load, g)
+    size = np.linalg.norm(recording.wrench[:, MOMENTS], axis=1)
+    heavy = size > 0.1 * size.max()
+    force = np.linalg.norm(recording.wrench[heavy, :3], axis=1)
+    weights = np.linalg.norm(held[heavy, 1:], axis=1) * np.linalg.norm(g[heavy], axis=1)
+    return float(np.median(weights / np.maximum(force, 1e-30))), float(np.median(force))
 
 
 def doubts_of_gravity(machine: Machine, recording: Recording) -> list[str]:

@@ -96,6 +96,9 @@ def force_sensor(c: Context) -> Iterator[Candidate]:
         farther = Column("frames", "sensor_error", {**turn.args, "times": 2})
         yield Candidate("wrench_error", None, None, None, "load", (turn, farther))
     yield Candidate("wrench_error", None, None, None, "load", tuple(turns))
+    elsewhere = tuple(Column("frames", "sensor_error", {"component": -1, "about": axis}) for axis in range(3))
+    if alive := that_act(c, elsewhere):  # its moments are not about the origin that its file says
+        yield Candidate("wrench_error", None, None, None, "load", alive)
     ageing = Column("frames", "sensor_error", {"component": -1, "time": "linear"})
     yield Candidate("wrench_error", None, None, None, "time", (ageing,), share=0.5)
     # a calibration matrix of its own: of every channel's gain, or of all that it has

@@ -22,7 +22,7 @@ def sensor_error(c: Context, component: int, **args: Any) -> Array:
 
 def misread(
     c: Context, component: int, source: int = -1, time: str = "", place: str = "", tau: float = 0.0, bent: str = "",
-    only: str = "", turned: int = -1, times: int = 1,
+    only: str = "", turned: int = -1, times: int = 1, about: int = -1,
 ) -> Array:  # fmt: skip
     """(N, 6) what is read too much [N, N·m] when a component of the sensor is off by 1, by its reading `source`, with
     time (form and tau of `clock`), or with a temperature (lagged by tau hours).
@@ -33,6 +33,7 @@ def misread(
     only       of all six "forces" or "moments" alone
     turned     an axis of its own, 0 to 2: it is mounted turned about it by an angle whose sine is 1 (times 1), or whose
                versine is −1 (times 2); of any angle both
+    about      its moments are about a point 1 m along an axis of its own, 0 to 2, from the origin in the machine file
     """
     count = len(c.recording)
     size = np.ones(count) if source < 0 else c.recording.wrench[:, source]
@@ -50,6 +51,8 @@ def misread(
         if turned >= 0:
             for _ in range(times):
                 vectors = np.cross(vectors, np.eye(3)[turned])
+        if about >= 0:
+            vectors = np.stack([np.zeros((count, 3)), np.cross(vectors[:, 0], np.eye(3)[about])], axis=1)
         if only:
             vectors = vectors * (np.array(["forces", "moments"]) == only)[:, None]
         wrench = size[:, None] * vectors.reshape(count, 6)

@@ -738,3 +738,20 @@ def test_what_pulls_besides_gravity_and_bends_the_machine_is_no_error_of_the_sen
     some = [k for k in library(read.context) if k.effect == "wrench_error"]
     tried = Tried(read, some + named(space, "nameless")[:40], 5e-5)
     assert search(read, tried, np.random.default_rng(0)) == []
+
+
+def test_moments_about_another_point_than_the_files_say_where_that_is(space: Workspace) -> None:
+    """They were structure over a force: no form had a point of its own (a reviewer's)."""
+    about = np.array([0.4, -0.2, 0.3])
+    read = space.recording.wrench.copy()
+    read[:, 3:] -= np.cross(about, read[:, :3])
+    there = prepare(space.machine, replace(space.recording, wrench=read), space.fit)
+    found, tried = look(there, ["wrench_error", "nonlinear_stiffness", "clearance"])
+    assert [f.name for f in found] == [("wrench_error", None)]
+    said = finding(there, tried, found[0])
+    assert [column.args.get("about") for column in best_of(tried, found[0]).columns] == [0, 1, 2]
+    for axis, where in zip("xyz", about, strict=True):
+        number = said["parameters"][f"moments_about_{axis}"]
+        assert abs(number["value"] - where) < 3.0 * number["std"] < 0.45
+        assert number["unit"] == "m"
+    assert "moments are about a point +" in said["sentence"]
