@@ -113,7 +113,10 @@ def _periodic(c: Context, k: Candidate) -> list[Column]:
     across = itertools.product(range(6), phases)  # what turns eccentrically wobbles
     args, frame = {"joint": joint, "period": period}, k.columns[0].frame
     out += [Column("frame", "wave", {**args, "phase": phase}, frame, comp) for comp, phase in across]
-    if MANY_WAVES * period < float(np.ptp(c.recording.q[:, joint])):  # and wears along its travel
+    travel = float(np.ptp(c.recording.q[:, joint]))
+    if MANY_WAVES * 2 * period < travel:  # a harmonic drive errs weakly once where it errs twice (another's 63071)
+        out += [_on(k, "wave", joint=joint, period=2 * period, phase=phase) for phase in phases]
+    if MANY_WAVES * period < travel:  # and wears along its travel
         out += [_on(k, "wave_q", **args, phase=phase, by=joint) for phase in phases]
     return out + [_on(k, "wave", joint=joint, period=period, phase=phase, pressed=by) for by, phase in by_load]
 

@@ -100,6 +100,17 @@ def test_a_wave_that_grows_along_its_travel_has_a_period(space: Workspace, times
     assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(9.3, abs=0.25)
 
 
+def test_a_wave_that_errs_weakly_at_twice_its_period_has_a_period(space: Workspace) -> None:
+    """A harmonic drive's, twice per turn of its wave generator and once: any band of waves said 5 % of what the wave
+    did beside it, which lost its name (a sixty-third author's)."""
+    q = space.recording.q[:, space.machine.joint_names.index("longitudinal")]
+    turn = 2 * np.pi * 11.0 * (q - q.min()) / np.ptp(q)
+    there = moved_along(space, "longitudinal", np.sin(2 * turn + 0.4) + 0.35 * np.sin(turn + 1.0), 8.0)
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert [f.name for f in found] == [("periodic_transmission", "longitudinal")]
+    assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(22.0, abs=0.3)
+
+
 @pytest.mark.parametrize(("at", "component"), [(0.41, 1), (-0.27, 5)])
 def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     space: Workspace, at: float, component: int
