@@ -22,7 +22,18 @@ from ppshw.diagnosis.workspace import Workspace
 from ppshw.machine import WRENCH_COMPONENTS
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column
-from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_by, named, of_size, on_joint, travel_of
+from tests.unit.search.by_hand import (
+    NAME,
+    best_of,
+    having_read,
+    look,
+    moved_along,
+    moved_by,
+    named,
+    of_size,
+    on_joint,
+    travel_of,
+)
 
 
 def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Workspace) -> None:
@@ -31,6 +42,25 @@ def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Wor
     assert best_of(tried, found[0]).covariates[0] == f"approach_{NAME}"
     found, _ = look(moved_by(space, on_joint(space, "approach"), 3.0), ["friction_hysteresis", "backlash"], NAME)
     assert [f.name for f in found] == [("backlash", NAME)]
+
+
+@pytest.mark.parametrize("ways", [(0.035,), (0.01, 0.04, 0.12)])
+def test_friction_is_not_called_play_where_friction_is_not_in_the_library(
+    space: Workspace, ways: tuple[float, ...]
+) -> None:
+    """By any function of the way since it turned back five of six short ones were play (five authors')."""
+    k = space.machine.joint_names.index(NAME)
+    q, lag = space.recording.q[:, k], np.zeros((len(ways), len(space.recording)))
+    for element, way in zip(lag, np.array(ways) * travel_of(space), strict=True):
+        element[0] = space.recording.approach[0, k]
+        for visit, goes in enumerate(np.diff(q), start=1):  # each slips once it has gone its way, as Jenkins' do
+            element[visit] = np.clip(element[visit - 1] + 2.0 * goes / way, -1.0, 1.0)
+    there = moved_along(space, NAME, lag.mean(axis=0), 3.0)
+    found, tried = look(there, ["backlash"], NAME)
+    assert [f.name for f in found] == [("nameless", None)]
+    assert best_of(tried, found[0]).covariates == (f"approach_{NAME}", f"way_{NAME}")
+    found, _ = look(there, ["backlash", "friction_hysteresis"], NAME)
+    assert [f.name for f in found] == [("friction_hysteresis", NAME)]
 
 
 def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
