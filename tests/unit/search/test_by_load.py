@@ -755,3 +755,18 @@ def test_moments_about_another_point_than_the_files_say_where_that_is(space: Wor
         assert abs(number["value"] - where) < 3.0 * number["std"] < 0.45
         assert number["unit"] == "m"
     assert "moments are about a point +" in said["sentence"]
+
+
+def test_a_load_that_varies_as_payloads_do_is_one_however_heavy_the_links_are(space: Workspace) -> None:
+    """158 N m of payloads on a shoulder that bore 7,800 of its own links: its stiffness was nobody's (another author's
+    64008), and said to be its neighbour's clearance."""
+    c, frame = space.context, space.machine.joint_names.index("yaw") + 1
+    wrenches = np.zeros_like(c.wrenches)
+    wrenches[:, frame] = c.recording.wrench * [1.0, 1.0, 1.0, 0.5, 0.5, 0.5]
+    wrenches[:, frame, 4] = 100.0 * np.ptp(wrenches[:, frame, 3])  # what its links make of it
+    there = replace(c, wrenches=wrenches)
+    assert np.ptp(wrenches[:, frame, 3]) < 0.05 * wrenches[:, frame, 4].max()
+    assert {3, 5} <= set(loads_on(there, frame))
+    assert 4 not in loads_on(there, frame)
+    wrenches[:, frame, 3] = 0.01 * c.recording.wrench[:, 3]
+    assert 3 not in loads_on(there, frame)
