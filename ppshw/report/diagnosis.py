@@ -35,6 +35,10 @@ VERDICTS = {
     "missing_physics": "The model leaves something out, and what it is has names.",
     "unexplained": "The model leaves something out that no known effect explains.",
 }
+OF_THE_RECORDING = frozenset({"column_mistake", "outliers", "unsettled"})  # no physics that the model leaves out
+ONLY_THESE = (
+    "Some of this recording is wrong, as said below; the model describes the rest: nothing is missing beyond noise."
+)
 HARDLY = 1.01  # structure without a name that takes less of the residual than this has no picture, unless it is all
 MOST_ROWS = 60  # of the table of what can be seen
 FOLDED = ", within its period"
@@ -77,7 +81,7 @@ def render(diagnosis: Diagnosis, now: datetime, warnings: Sequence[str] = ()) ->
         sha256=space.recording.sha256,
         now=now,
         answer=answer,
-        verdict=VERDICTS[answer["verdict"]],
+        verdict=_verdict(answer),
         map=residuals.strength_map(located),
         located=_said(located),
         dependences=_dependences(compared, located, units),
@@ -92,6 +96,12 @@ def render(diagnosis: Diagnosis, now: datetime, warnings: Sequence[str] = ()) ->
         odd=ODD,
         how_rare=how_rare,
     )
+
+
+def _verdict(answer: dict[str, Any]) -> str:
+    if answer["verdict"] == "missing_physics" and {f["effect"] for f in answer["findings"]} <= OF_THE_RECORDING:
+        return ONLY_THESE
+    return VERDICTS[answer["verdict"]]
 
 
 def _said(located: Map) -> str:

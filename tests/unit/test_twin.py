@@ -17,6 +17,7 @@ from ppshw.calibration import Calibration
 from ppshw.cli import main
 from ppshw.diagnosis import Diagnosis
 from ppshw.diagnosis.checks import ODD, Check, before_and_after, check, sentence
+from ppshw.diagnosis.columns.mistake import Mistake
 from ppshw.diagnosis.found import Found
 from ppshw.diagnosis.library import Candidate
 from ppshw.diagnosis.locate import Map, channels, gradients
@@ -328,6 +329,19 @@ def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     page = render(Diagnosis(answer | {"serial_correlation": 0.4}, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
     assert "scatter has 0.40 of that of the visit before.</p>" in page
     assert "What was found" not in page
+
+
+def test_a_page_whose_only_finding_is_a_mistake_of_the_recording_blames_no_model(rig: Rig) -> None:
+    """It opened with "The model leaves something out" (a reviewer's)."""
+    mistake = Mistake("Fx … Fz", 1e3, "is in kilonewtons, expected newtons", 40.0, 0.04).finding()
+    checks = {"checks": before_and_after(rig.space)}
+    answer = _diagnosed(rig).answer | {"verdict": "missing_physics", "findings": [mistake]} | checks
+    page = render(Diagnosis(answer, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
+    assert "the model describes the rest: nothing is missing beyond noise" in page
+    assert "leaves something out" not in page
+    both = _diagnosed(rig).answer["findings"] + [mistake]
+    page = render(Diagnosis(answer | {"findings": both}, rig.space, []), datetime(2026, 1, 2, tzinfo=UTC))
+    assert "The model leaves something out" in page
 
 
 def test_a_sentence_names_the_three_checks_that_stand_out_most() -> None:
