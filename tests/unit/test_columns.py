@@ -113,6 +113,34 @@ def test_directions_of_approach_that_are_against_every_way(case: tuple[Machine, 
     assert plain_mistakes(machine, replace(recording, approach=approach))[1] == []
 
 
+@pytest.mark.parametrize("ends", ["first", "last"])
+def test_directions_of_approach_that_turn_over_at_some_visit(case: tuple[Machine, Recording], ends: str) -> None:
+    """Of all joints at once, as by a controller's update: they were structure without a word (a reviewer's). Of one
+    joint alone it may have gone past where it came to."""
+    machine, recording = case
+    wrong = slice(0, 80) if ends == "first" else slice(80, None)
+    approach = recording.approach.copy()
+    approach[wrong] *= -1
+    mended, found = plain_mistakes(machine, replace(recording, approach=approach))
+    assert [(m.column.split(" … ")[0], m.factor) for m in found] == [(f"approach_{machine.joint_names[0]}", None)]
+    assert np.array_equal(mended.approach, recording.approach)
+    assert found[0].said.endswith(
+        "have the opposite sign " + ("up to visit 80" if ends == "first" else "from visit 81 on")
+    )
+    assert found[0].finding()["sentence"].endswith("; they were taken the other way round.")
+    alone = recording.approach.copy()
+    alone[wrong, 2] *= -1
+    assert plain_mistakes(machine, replace(recording, approach=alone))[1] == []
+
+
+def test_directions_of_all_joints_that_are_against_their_ways_are_one_mistake(case: tuple[Machine, Recording]) -> None:
+    machine, recording = case
+    mended, found = plain_mistakes(machine, replace(recording, approach=-recording.approach))
+    names = machine.joint_names
+    assert [(m.column, m.factor) for m in found] == [(f"approach_{names[0]} … approach_{names[-1]}", -1.0)]
+    assert np.array_equal(mended.approach, recording.approach)
+
+
 def test_directions_of_approach_that_are_exchanged(case: tuple[Machine, Recording]) -> None:
     """Play was structure over another joint's direction, without a word (a reviewer's)."""
     machine, recording = case
