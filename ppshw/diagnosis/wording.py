@@ -351,7 +351,8 @@ def _parts(c: Context, candidate: Candidate, values: Array) -> str:
         f"{v * 1e6:.3g} ppm" + next((text for arg, text in per.items() if arg in column.args), at)
         for v, column in zip(values, candidate.columns, strict=True) if column.on == "points"
     ]  # fmt: skip
-    return f", by {' and '.join(said)}"
+    when = f" from {candidate.shape['time_h']:.2f} h on" if "time_h" in candidate.shape else ""
+    return f", by {' and '.join(said)}{when}"
 
 
 def _far(c: Context, candidate: Candidate, values: Array) -> str:

@@ -55,6 +55,14 @@ def tracker_scale(c: Context) -> Iterator[Candidate]:
             yield Candidate(
                 "tracker_scale", None, None, None, f"temp_{place}_C", late_shifts, lag, share=0.03 * likely, led=True
             )
+    moments = moments_between(c, MOMENTS)
+    for moment in moments:  # a distance meter or its weather station was set anew
+        anew, when = Column("points", "scale", {"since": moment}), {"time_h": moment}
+        yield Candidate("tracker_scale", None, None, None, "time", (anew,), when, share=0.3 / len(moments))
+        shifts = about_another_place("step", {"visit_time": moment})
+        yield Candidate(
+            "tracker_scale", None, None, None, "time", (anew, *shifts), when, share=0.3 / len(moments), led=True
+        )
     for name in nobody_knows(c):  # the air's pressure or humidity, if it is that
         grows = Column("points", "scale", {"name": name})
         shifts = about_another_place("covariate", {"name": name})

@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 from ppshw.terms.shapes.context import Context
 from ppshw.terms.shapes.covariates import above_mean
 from ppshw.terms.shapes.sight import incidence, rays_to, seen_at
-from ppshw.terms.shapes.time_and_heat import temperature
+from ppshw.terms.shapes.time_and_heat import step, temperature
 
 Array = NDArray[np.float64]
 
 
-def scale(c: Context, place: str = "", tau: float = 0.0, name: str = "") -> Array:
+def scale(c: Context, place: str = "", tau: float = 0.0, name: str = "", since: float = -1.0) -> Array:
     """Distances from the instrument longer by a factor; with a place, per kelvin of that temperature, lagging by tau
-    hours where the beam's air follows the thermometer's; with a column's name, per unit of it above its mean."""
-    return _rays(c, place, tau, name)
+    hours where the beam's air follows the thermometer's; with a column's name, per unit of it above its mean; from a
+    moment on (hours since the start)."""
+    rays = _rays(c, place, tau, name)
+    return rays if since < 0 else rays * step(c, since)[:, None, None]
 
 
 def strain(c: Context, first: int, second: int, place: str = "", name: str = "") -> Array:

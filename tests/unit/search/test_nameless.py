@@ -459,6 +459,25 @@ def test_a_late_scale_of_an_instrument_that_stands_elsewhere_is_the_scale(space:
     assert said["lag_h"]["value"] == 1.0
 
 
+@pytest.mark.parametrize("elsewhere", [0.0, 3.0])
+def test_a_scale_that_is_another_one_from_some_moment_on_is_the_scale_and_says_when(
+    space: Workspace, elsewhere: float
+) -> None:
+    """A scale bar that was entered anew went with the air, beside a zero that jumped (a sixty-third author's)."""
+    c, first = space.context, 97
+    rays = c.points - c.measuring_in_base[:3, 3] - np.array([elsewhere, 0.0, 0.0])
+    moved = 6e-5 * rays * (np.arange(len(c.hours)) >= first)[:, None, None]
+    there = having_read(space, space.data + moved.reshape(space.data.shape))
+    found, tried = look(there, ["tracker_scale", "drift", "zero_shift"])
+    assert [f.name for f in found] == [("tracker_scale", None)]
+    told = finding(there, tried, found[0])
+    assert told["covariate"] == "time"
+    assert told["parameters"]["scale"]["value"] == pytest.approx(6e-5, rel=0.2)
+    apart = float(np.diff(c.hours).max()) + float(np.ptp(c.hours)) / 40
+    assert abs(told["parameters"]["time_h"]["value"] - c.hours[first]) < apart
+    assert f" ppm from {told['parameters']['time_h']['value']:.2f} h on" in told["sentence"]
+
+
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("elsewhere", [0.0, 3.0])
 def test_a_scale_that_follows_a_pressure_is_the_scale_or_without_that_name_unexplained(
