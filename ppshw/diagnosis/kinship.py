@@ -89,7 +89,8 @@ def of_its_kind(
             if _warms_the_base(named, rival, unturned):
                 return named.frame in unturned.frames or not all(map(_moves_the_base, rival.columns))
             there = rival.frame == named.frame or _alike(named, rival, unturned)
-            return there and named.covariate in plain <= {named.covariate, f"q_{named.joint}"}
+            heat = plain - {f"q_{named.joint}"}  # by another thermometer it is growth, too (another author's 64068)
+            return there and bool(heat) and all(k == named.covariate or k.startswith("temp_") for k in heat)
         case "tracker_scale":  # about wherever the instrument stands
             scales = [column for column in rival.columns if column.function == "scale"]
             return bool(scales) and all(column in scales or _moves_the_base(column) for column in rival.columns)
