@@ -81,15 +81,15 @@ def under_load(c: Context) -> Iterator[Candidate]:
 
 
 def in_proportion(c: Context) -> Iterator[Candidate]:
-    """A link that the machine file has rigid gives way in proportion to its load, in the load's own direction. With the
-    name of missing compliance taken out it was a stiffness out of proportion, whose form there has such a part (a
-    sixty-second author's 019)."""
+    """A link that the machine file has rigid gives way in proportion to its load, in the load's own direction or
+    across. With the name of missing compliance taken out it was a stiffness out of proportion, whose form there has
+    such a part (a sixty-second author's 019), and a clearance across (a sixty-third's 016)."""
     bent = {frame: set(acting) for frame, _, acting in elastic_frames(c)}
     for frame in range(1, c.machine.n + 1):
         for b in set(loads_on(c, frame)) - bent.get(frame, set()):
             load = f"on_{c.machine.frame_names[frame]}_{WRENCH_COMPONENTS[b]}"
-            column = Column("frame", "load", {"frame": frame, "component": b}, frame, b)
-            found = [rival(c, frame, b, (load,), (column,))]
+            columns = [Column("frame", "load", {"frame": frame, "component": b}, frame, comp) for comp in range(6)]
+            found = [rival(c, frame, column.component, (load,), (column,)) for column in columns]
             yield from found if c.recording.has_wrench else _by_positions(c, found, c.wrenches[:, frame, b])
 
 

@@ -65,16 +65,16 @@ def test_a_link_that_the_file_has_rigid_may_give_way_out_of_proportion(space: Wo
     assert said["compliance1"]["unit"] == "rad/(N m)"
 
 
-@pytest.mark.parametrize(("name", "component"), [("longitudinal", 3), ("pitch", 4)])
+@pytest.mark.parametrize(("name", "component", "way"), [("longitudinal", 3, 3), ("pitch", 4, 4), ("pitch", 4, 5)])
 def test_what_a_rigid_link_does_in_proportion_to_its_load_is_no_stiffness_out_of_proportion(
-    space: Workspace, name: str, component: int
+    space: Workspace, name: str, component: int, way: int
 ) -> None:
     """Whose forms have a part in proportion there: with missing compliance taken out it was one, for certain (another
-    author's 62019)."""
+    author's 62019), and across it a clearance (63016)."""
     joint, out = space.machine.joint_names.index(name), frozenset({"missing_compliance"})
     rigid = [replace(each, elastic=None) if k == joint else each for k, each in enumerate(space.machine.joints)]
     there = prepare(replace(space.machine, joints=tuple(rigid)), space.recording, space.fit)
-    load = Column("frame", "load", {"frame": joint + 1, "component": component}, joint + 1, component)
+    load = Column("frame", "load", {"frame": joint + 1, "component": component}, joint + 1, way)
     there = moved_by(there, load, 8.0)
     mine = [k for k in named(there, "nonlinear_stiffness", "clearance") if k.joint == name]
     over = [k for k in nameless(there.context, without=out) if k.frame == name]
