@@ -47,12 +47,14 @@ def nameless(
 
     jumps    moments of several jumps of a joint that the recording speaks for most
     waves    finer than every joint is asked for, where they may have no name
-    without  effects that have no name: what a link that the file has rigid does in proportion to its load may need none
+    without  effects that have no name: what a link that the file has rigid does in proportion to its load may need
+             none, and a base that moves with time
     """
     at_some_moments = partial(at_a_moment, jumps=jumps)
     makers: list[Callable[[Context], Iterator[Candidate]]] = [
-        of_one_column, along_a_joint, base_in_all_directions, at_some_moments, rhythms, random_seats, reversals,
-        under_load, by_own_weight, mounted, of_what_was_read, pulls, own_heat, with_another_position, of_two_columns,
+        of_one_column, along_a_joint, partial(base_in_all_directions, without=without), at_some_moments, rhythms,
+        random_seats, reversals, under_load, by_own_weight, mounted, of_what_was_read, pulls, own_heat,
+        with_another_position, of_two_columns,
         partial(finely, waves=waves), dents, splices, of_two_positions, of_three_positions, at_the_reflectors,
         where_it_rests,
     ]  # fmt: skip

@@ -459,6 +459,23 @@ def test_a_late_scale_of_an_instrument_that_stands_elsewhere_is_the_scale(space:
     assert said["lag_h"]["value"] == 1.0
 
 
+def test_a_base_that_creeps_and_tilts_is_no_growth_of_the_next_link_where_drift_has_no_name(space: Workspace) -> None:
+    """Whose six directions by a temperature that rose all day said more than shifts over time (a sixty-third
+    author's)."""
+    c, out = space.context, frozenset({"drift"})
+    hours = (c.hours - c.hours.mean()) / np.ptp(c.hours)
+    ways = np.array([1e-4, -6e-5, 4e-5, 3e-5, -2e-5, 2e-5])
+    there = having_read(space, space.data + np.einsum("nmc,c,n->nm", c.jacobian[:, :, 0], ways, hours))
+    growth = [k for k in named(space, "thermal_growth") if len(k.columns) == 6]
+    over = [k for k in nameless(c, without=out) if k.frame == "base" and k.covariate == "time"]
+    tried = Tried(there, growth + over, 5e-5, out)
+    (found,) = search(there, tried, np.random.default_rng(0))
+    assert found.name == ("nameless", None)
+    best = best_of(tried, found)
+    assert (best.covariates, len({column.component for column in best.columns})) == (("time",), 6)
+    assert best.columns not in [each.columns for each in nameless(c)]
+
+
 @pytest.mark.parametrize("elsewhere", [0.0, 3.0])
 def test_a_scale_that_is_another_one_from_some_moment_on_is_the_scale_and_says_when(
     space: Workspace, elsewhere: float
