@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import reduce
 
 from ppshw.diagnosis.columns.halves import left_of_the_others, roughly, surely_less
@@ -13,7 +13,7 @@ from ppshw.diagnosis.columns.payloads import (
     KILO,
     MILLI,
     MOMENTS,
-    MOST_KN,
+    a_thousandfold,
     hanging_at,
     has,
     loaded,
@@ -28,29 +28,15 @@ from ppshw.recording import Recording
 FARTHEST_M, NEAREST_M = 1.2, 0.02
 STANDARD_GRAVITY, POUND_N, POUND_INCH_NM = 9.80665, 4.4482216, 0.11298483  # exactly, and by the pound's 0.45359237 kg
 
-
-@dataclass(frozen=True)
-class Units:
-    """What forces and moments may be in instead, and by which factors they are set right."""
-
-    forces: tuple[str, float] | None
-    moments: tuple[str, float] | None
-
-    @property
-    def ratio(self) -> float:
-        """How many times as far from the sensor loads seem to hang."""
-        (_, force), (_, moment) = self.forces or ("", 1.0), self.moments or ("", 1.0)
-        return force / moment
-
-
-POUNDS = ("is in pounds-force, expected newtons", POUND_N)
-POUND_INCHES = ("is in pound-force inches, expected newton metres", POUND_INCH_NM)
-ANY = (
-    Units(("is in kilograms, expected newtons", STANDARD_GRAVITY), None),
-    Units(POUNDS, POUND_INCHES),
-    Units(None, ("is in newton centimetres, expected newton metres", 1e-2)),
+Wrong = tuple[tuple[int, ...], str, float]  # columns, what they are in, and by which factor they are set right
+ANY: tuple[tuple[Wrong, ...], ...] = (
+    ((FORCES, "is in kilograms, expected newtons", STANDARD_GRAVITY),),
+    (
+        (FORCES, "is in pounds-force, expected newtons", POUND_N),
+        (MOMENTS, "is in pound-force inches, expected newton metres", POUND_INCH_NM),
+    ),
+    ((MOMENTS, "is in newton centimetres, expected newton metres", 1e-2),),
 )
-KILONEWTONS, NEWTON_MILLIMETRES = Units((KILO, 1e3), None), Units(None, (MILLI, 1e-3))
 
 
 def with_their_units(
@@ -70,8 +56,9 @@ def with_their_units(
     lever, force = hanging_at(machine, given)
     if lever <= FARTHEST_M:
         return recording, list(found)
-    thousand = KILONEWTONS if force < MOST_KN else NEWTON_MILLIMETRES
-    likely = [units for units in (*ANY, thousand) if NEAREST_M < lever / units.ratio < FARTHEST_M]
+    thousandfold = a_thousandfold(force)
+    some = [*ANY, *([(thousandfold,)] if thousandfold else [])]
+    likely = [units for units in some if NEAREST_M < lever / _times_as_far(units) < FARTHEST_M]
     sound, _ = without_gross_errors(machine, given)
     before = left_of_the_others(machine, sound, roughly)
     tried = [(surely_less(before, left_of_the_others(machine, _in(sound, units), roughly)), units) for units in likely]
@@ -80,8 +67,7 @@ def with_their_units(
         return recording, list(found)
     after, before_it, units = min(sure, key=lambda one: one[0])
     far = f"(loads would hang {lever:.1f} m off the sensor)"
-    wrong = [(columns, *one) for columns, one in ((FORCES, units.forces), (MOMENTS, units.moments)) if one]
-    mistakes = [Mistake(named(columns), factor, f"{what} {far}", before_it, after) for columns, what, factor in wrong]
+    mistakes = [Mistake(named(columns), factor, f"{what} {far}", before_it, after) for columns, what, factor in units]
     return _in(given, units), [*kept, *mistakes]
 
 
@@ -90,8 +76,13 @@ def _undone(recording: Recording, mistake: Mistake) -> Recording:
     return times(recording, columns, 1.0 / (mistake.factor or 1.0))
 
 
-def _in(recording: Recording, units: Units) -> Recording:
+def _in(recording: Recording, units: Sequence[Wrong]) -> Recording:
     """The recording set right as one whose forces and moments were in these."""
-    for columns, one in ((FORCES, units.forces), (MOMENTS, units.moments)):
-        recording = times(recording, columns, one[1]) if one else recording
+    for columns, _, factor in units:
+        recording = times(recording, columns, factor)
     return recording
+
+
+def _times_as_far(units: Sequence[Wrong]) -> float:
+    """How many times as far from the sensor loads seem to hang."""
+    return math.prod(factor if columns == FORCES else 1.0 / factor for columns, _, factor in units)

@@ -82,13 +82,18 @@ def mistaken_units(machine: Machine, recording: Recording) -> Iterator[tuple[Mis
     lever, hangs = hanging_at(machine, recording)
     if lever <= LEVER_M:
         return
-    far = f"(loads would hang {lever:.0f} m off the sensor)"
+    if (thousandfold := a_thousandfold(hangs)) is not None:
+        columns, what, factor = thousandfold
+        far = f"(loads would hang {lever:.0f} m off the sensor)"
+        yield Mistake(named(columns), factor, f"{what} {far}", lever, 1e-3 * lever), times(recording, columns, factor)
+
+
+def a_thousandfold(hangs: float) -> tuple[tuple[int, ...], str, float] | None:
+    """Which columns are in which units where loads hang a thousand times too far off, by what pulls there [N], and by
+    which factor they are set right; None where it may be either."""
     if hangs < MOST_KN:
-        what = f"{KILO} {far}"
-        yield Mistake(named(FORCES), 1e3, what, lever, 1e-3 * lever), times(recording, FORCES, 1e3)
-    elif hangs > LEAST_N:
-        what = f"{MILLI} {far}"
-        yield Mistake(named(MOMENTS), 1e-3, what, lever, 1e-3 * lever), times(recording, MOMENTS, 1e-3)
+        return FORCES, KILO, 1e3
+    return (MOMENTS, MILLI, 1e-3) if hangs > LEAST_N else None
 
 
 def hanging_at(machine: Machine, recording: Recording) -> tuple[float, float]:
