@@ -95,4 +95,5 @@ def _exchanged(along: Array, one: int, other: int) -> bool:
 
 def _mistake(joints: Sequence[str], factor: float | None, what: str, along: float) -> Mistake:
     columns = [f"approach_{name}" for name in joints]
-    return Mistake(" and ".join(columns) if len(columns) < 3 else from_to(columns), factor, what, 1 - along, along)
+    two = factor is None and len(columns) == 2
+    return Mistake(" and ".join(columns) if two else from_to(columns), factor, what, 1 - along, along)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ppshw.diagnosis import standing
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.forms import WIDEST_SIDE, near_forms
+from ppshw.diagnosis.found import take_up
 from ppshw.diagnosis.library import Candidate, library
 from ppshw.diagnosis.library.by_instrument import weighed
 from ppshw.diagnosis.library.by_load import FALLS_AT, HOLDS, _falls, changes_side, clearance
@@ -373,6 +374,20 @@ def test_a_joint_that_its_bodies_bend_otherwise_than_the_payload_says_by_which_s
     assert [f.name for f in found] == [("moving_weight", "vertical")]
     share = finding(there, tried, found[0])["parameters"]["own_weight_share"]
     assert (share["unit"], share["value"]) == ("1", pytest.approx(4.0, rel=0.3))  # the base model takes the most of it
+
+
+def test_creep_of_the_only_link_that_bends_is_that_link_s_and_hardly_every_link_s(space: Workspace) -> None:
+    """Both are the same there. Of forty creeps of eleven authors none was every link's."""
+    joint = space.machine.joint_names.index("pitch")
+    only = [each if k == joint else replace(each, elastic=None) for k, each in enumerate(space.machine.joints)]
+    there = prepare(replace(space.machine, joints=tuple(only)), space.recording, space.fit)
+    late = Column("frames", "creep", {"tau": 0.4, "form": "exponential", "frame": joint + 1})
+    there = moved_by(there, late, 6.0)
+    found, tried = look(there, ["creep"], "pitch")
+    assert [f.name for f in found] == [("creep", "pitch")]
+    take_up(there, tried, [])
+    said = dict(zip(tried.names, tried.said()[1], strict=True))
+    assert said["creep", "pitch"] - said["creep", None] > 2.0
 
 
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
