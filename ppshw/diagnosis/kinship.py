@@ -78,6 +78,8 @@ def of_its_kind(
             return rival.frame == named.frame and all(name == "time" or name.endswith(inside) for name in over)
         case "backlash":  # from which side its joint came, and nothing else
             return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
+        case "friction_hysteresis":  # what winds up over whichever ways (sealed 81071 lost its name to that)
+            return here and all(column.function == "winding" for column in rival.columns)
         case "zero_shift":
             there = here or (_alike(named, rival, unturned) and named.component == rival.component)
             there = there or {(k.frame, k.component) for k in (named, rival)} <= unturned.turns
