@@ -10,8 +10,6 @@ from ppshw.diagnosis.columns.halves import left_of_the_others, roughly, surely_l
 from ppshw.diagnosis.columns.mistake import Mistake
 from ppshw.diagnosis.columns.payloads import (
     FORCES,
-    KILO,
-    MILLI,
     MOMENTS,
     a_thousandfold,
     hanging_at,
@@ -37,6 +35,7 @@ ANY: tuple[tuple[Wrong, ...], ...] = (
     ),
     ((MOMENTS, "is in newton centimetres, expected newton metres", 1e-2),),
 )
+THOUSANDFOLD = {(named(FORCES), 1e3), (named(MOMENTS), 1e-3)}  # columns and factors of `a_thousandfold`
 
 
 def with_their_units(
@@ -49,7 +48,7 @@ def with_their_units(
     it, and set right in that of which the base model leaves least, if it surely leaves less than as they were read; as
     what the levers alone took for kilonewtons or newton millimetres was.
     """
-    kept = [m for m in found if not m.what.startswith((f"{KILO} (", f"{MILLI} ("))]
+    kept = [m for m in found if (m.column, m.factor) not in THOUSANDFOLD]
     given = reduce(_undone, (m for m in found if m not in kept), recording)
     if not has(given, FORCES) or not loaded(given, MOMENTS, LOADED_NM):
         return recording, list(found)

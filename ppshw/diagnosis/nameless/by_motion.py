@@ -24,10 +24,10 @@ from ppshw.terms.shapes import Column, Context, named_column
 LEAST_SEATS, MOST_SEATS = 8, 80  # stays of several visits
 FLOATS_H = 0.04  # in which a carriage that floated up sinks again: some minutes
 LEAST_REST = 2e-6  # m, rms of a coordinate: what encoders differ less from setpoints by moves no reflector that shows
-# Parts of a joint's travel over which any hysteresis winds up: of six frictions whose name was taken out, short ones of
-# Dahl's kind and of many elements, five were play, as a function of the way since a joint turned back says no more than
-# play does where most moves are short; this said 5 to 40 of log evidence more. It says less than what has a name of 12
-# plays and frictions of three authors.
+# Parts of a joint's travel over which any hysteresis winds up: seven of 22 frictions of nine authors, their name taken
+# out, were play, as a function of the way since a joint turned back says no more than play does where most moves are
+# short; this said 5 to 40 of log evidence more, by which three of five looked at again are not. It says less than play
+# does of their 21 plays, and at most 1.8 % more than friction does of these.
 WINDS = (0.005, 0.02, 0.06, 0.2)
 SELDOM = 0.1  # share of what two joints' sides do together, by which of them there are many
 

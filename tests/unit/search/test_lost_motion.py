@@ -48,7 +48,7 @@ def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Wor
 def test_friction_is_not_called_play_where_friction_is_not_in_the_library(
     space: Workspace, ways: tuple[float, ...]
 ) -> None:
-    """By any function of the way since it turned back five of six short ones were play (five authors')."""
+    """By any function of the way since it turned back seven of 22 were play (nine authors')."""
     k = space.machine.joint_names.index(NAME)
     q, lag = space.recording.q[:, k], np.zeros((len(ways), len(space.recording)))
     for element, way in zip(lag, np.array(ways) * travel_of(space), strict=True):
