@@ -22,7 +22,7 @@ from ppshw.diagnosis.library import LOADS, Candidate, library
 from ppshw.diagnosis.library.by_position import FineWave
 from ppshw.diagnosis.library.weighing import as_weighed
 from ppshw.diagnosis.nameless import nameless
-from ppshw.diagnosis.parameters import BY_CAUSE, of_one_wave
+from ppshw.diagnosis.parameters import BY_CAUSE, lost_by, of_one_wave
 from ppshw.diagnosis.scatter import Scatter, scatter_of, scatter_without_a_name
 from ppshw.diagnosis.search import search
 from ppshw.diagnosis.serial import SerialNoise
@@ -220,7 +220,8 @@ def _lost(space: Workspace, tried: Tried, found: list[Found]) -> dict[str, float
     out: dict[str, float] = {}
     for f in found:
         if f.name[0] in LOST_MOTION:
-            lost = 2.0 * abs(float(by_its_own_form(space, tried.candidates[f.best], f)[0][0]))
+            form = tried.candidates[f.best]
+            lost = 2.0 * abs(lost_by(form, by_its_own_form(space, form, f)[0]))
             out[str(f.name[1])] = max(lost, out.get(str(f.name[1]), 0.0))
     return out
 

@@ -13,6 +13,7 @@ import itertools
 import numpy as np
 
 from ppshw.diagnosis.library import Candidate
+from ppshw.diagnosis.library.by_heat_and_time import GOES_BACK_H
 from ppshw.diagnosis.library.by_position import of_two
 from ppshw.diagnosis.library.creep import ANY_WAY, CREEP_H
 from ppshw.diagnosis.library.jumps import ALL, knocked_carrier
@@ -98,7 +99,13 @@ def _thermal(c: Context, k: Candidate) -> list[Column]:
 
 
 def _drift(c: Context, k: Candidate) -> list[Column]:
-    return [
+    """Any course in time; and what happened at once, at the same moment for good, or to go back as it may."""
+    jumps: list[Column] = []
+    if k.columns[0].function == "settling" or k.columns[0].args.get("form") == "step":
+        courses: list[tuple[str, dict[str, object]]] = [("clock", {"form": "step", "tau": k.shape["time_h"]})]
+        courses += [("settling", {"visit_time": k.shape["time_h"], "tau": tau}) for tau in GOES_BACK_H]
+        jumps = [Column("frame", *course, 0, comp) for course in courses for comp in range(6)]
+    return jumps + [
         Column("frame", "clock", {"form": "cosine", "tau": order}, 0, comp)
         for order in range(1, 9)
         for comp in range(6)

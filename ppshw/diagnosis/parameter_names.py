@@ -36,6 +36,8 @@ def _plainly(candidate: Candidate) -> list[Told]:
 def _backlash(candidate: Candidate) -> list[Told]:
     unit, last = unit_of(candidate.component), candidate.columns[-1]
     names = [(name, unit) for name in ("gap", "drag", "wear")[: len(candidate.columns)]]
+    if "since" in last.args:
+        names[1] = "gap_added_later", unit
     if across := _sideways(candidate):
         names[1] = across
     if more := _by_its_load(last, unit):

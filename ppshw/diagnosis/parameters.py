@@ -98,7 +98,15 @@ def runs_ahead(c: Context, candidate: Candidate, along: Array) -> bool:
     if candidate.effect not in LOST_MOTION or candidate.joint is None:
         return False
     own = own_component(c, c.machine.joint_names.index(candidate.joint))
-    return bool(candidate.columns[0].component == own and along[0] > 0)
+    return bool(candidate.columns[0].component == own and lost_by(candidate, along) > 0)
+
+
+def lost_by(candidate: Candidate, values: Array) -> float:
+    """What joint and drive lose to each other, of coefficients (k,): where it is more or less from some moment on,
+    whichever is more."""
+    first = float(values[0])
+    later = first + sum(float(v) for v, column in zip(values, candidate.columns, strict=True) if "since" in column.args)
+    return max(first, later, key=abs)
 
 
 def of_one_wave(one: float | None, other: float | None) -> bool:

@@ -18,7 +18,8 @@ from ppshw.terms.shapes.covariates import speaks_of, whose
 SAME_EFFECT = 0.5
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
-# A short wave, though, is not what anything else's form leaves over the same joint: there a fifth of it. What has no
+# A short wave, though, is not what anything else's form leaves over the same joint, nor a jump what growth leaves in
+# another direction (another author's 66003): there a fifth of it. What has no
 # name has no near forms either and leaves twice as much.
 # What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
 # over hours shows as creep of a whole rail.
@@ -61,7 +62,8 @@ def caster_of(tried: Tried, best: int, evidence: float, found: list[Found]) -> F
         # a seat that each load finds anew follows anything slow, if loads lie there for long
         seats = candidate.frame == other.frame and all(column.function == "seated" for column in candidate.columns)
         wave = candidate.effect == "periodic_transmission" != other.effect
-        least = SHADOW * f.first * (OF_A_WAVE if wave else LEFT_OF_A_RIDDLE if riddle else 1.0)
+        apart = wave or _leaps_elsewhere(tried, candidate, other)
+        least = SHADOW * f.first * (OF_A_WAVE if apart else LEFT_OF_A_RIDDLE if riddle else 1.0)
         more = candidate.effect == "nameless" and of_its_kind(other, candidate, unturned, inside)
         if more and same_place(candidate, other) and evidence < SAME_EFFECT * f.first:
             return f  # more of the same, by what the name means
@@ -102,6 +104,13 @@ def acts_alike(tried: Tried, one: Candidate, other: Candidate) -> bool:
         return False
     a, b = (tried.space.context.moved(*next(iter(way))) for way in ways)
     return abs(float((a * b).sum())) > ALIKE * float(np.linalg.norm(a) * np.linalg.norm(b))
+
+
+def _leaps_elsewhere(tried: Tried, candidate: Candidate, other: Candidate) -> bool:
+    """Whether a joint's zero jumps once and for good, and not along what grows: no thermometer leaps."""
+    leaps = candidate.effect == "zero_shift" and [column.function for column in candidate.columns] == ["step"]
+    grows = other.effect == "thermal_growth" and other.component is not None
+    return leaps and grows and not same_place(candidate, other) and not acts_alike(tried, candidate, other)
 
 
 def of_a_riddle(candidate: Candidate, other: Candidate) -> bool:

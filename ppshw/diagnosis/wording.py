@@ -371,9 +371,11 @@ def _far(c: Context, candidate: Candidate, values: Array) -> str:
 
 
 def _when(candidate: Candidate) -> str:
-    """How a drift goes on: slowly, or at once."""
-    if candidate.columns[0].args.get("form") == "step":
-        return f" at once after {candidate.shape['time_h']:.2f} h"
+    """How a drift goes on: slowly, or at once; for good, or to go back."""
+    back = candidate.columns[0].function == "settling"
+    if back or candidate.columns[0].args.get("form") == "step":
+        goes_back = f" and back again within hours (by 1/e in about {candidate.shape['tau_h']:g} h)" if back else ""
+        return f" at once after {candidate.shape['time_h']:.2f} h{goes_back}"
     return " slowly with time"
 
 
@@ -443,8 +445,11 @@ def _homed_anew(c: Context, candidate: Candidate, values: Array) -> str:
 
 
 def _by_its_load(candidate: Candidate, values: Array, unit: str) -> str:
-    """What lost motion is under another load, where it goes with the load: taken up, or pressed into more."""
+    """What lost motion is under another load, where it goes with the load: taken up, or pressed into more; or later,
+    where something came loose."""
     last, more = candidate.columns[-1], values[-1]
+    if "since" in last.args:
+        return f" ({2 * abs(values[0] + more) * 1e3:.3f} {unit} from {last.args['since']:.2f} h on)"
     if "pressed" in last.args:
         if (values[0] + more) * values[0] < 0.0:  # taken up before: by a straight line less than nothing beyond
             return f" (nothing from {1.0 - values[0] / more:.2f} times its mean load on)"

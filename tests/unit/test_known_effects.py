@@ -102,6 +102,17 @@ def test_lost_motion_is_taken_out_by_the_direction_of_approach(start: Array, sid
     assert [(v.taken_out, v.sentence()) for v in found.effects] == [(True, "backlash of vertical")]
 
 
+def test_a_gap_that_came_loose_while_it_was_measured_is_taken_out_as_it_was_at_the_end() -> None:
+    wide, plain = 3.0, lost_motion().calibration
+    (effect,) = plain.effects
+    looser = replace(effect.columns[0], args={**effect.columns[0].args, "since": 0.6 * HOURS})
+    values = (effect.values[0], effect.values[0] * (wide - 1.0))
+    effect = replace(effect, columns=(effect.columns[0], looser), values=values, std=(1e-6, 1e-6))
+    found = asked(Compensator(replace(plain, effects=(effect,))), start=BELOW)
+    assert np.linalg.norm(miss(found.corrected, -wide * GAP / 2)) < 5e-5
+    assert [(v.taken_out, v.sentence()) for v in found.effects] == [(True, "backlash of vertical")]
+
+
 def test_the_direction_may_be_given_without_the_start() -> None:
     both = [asked(lost_motion(), approach=np.array([0, s, 0, 0, 0, 0])) for s in (-1, 1)]
     assert both[1].corrected[VERTICAL] - both[0].corrected[VERTICAL] == pytest.approx(GAP, rel=1e-3)

@@ -25,7 +25,7 @@ from ppshw.diagnosis.library.by_instrument import force_sensor, force_sensor_jum
 from ppshw.diagnosis.library.by_load import clearance, missing_compliance, nonlinear
 from ppshw.diagnosis.library.by_position import FineWave, coupling, fine, periodic, periodic_across
 from ppshw.diagnosis.library.candidate import Candidate, all_kept
-from ppshw.diagnosis.library.creep import creeping, creeping_from_nothing
+from ppshw.diagnosis.library.creep import creeping, creeping_from_nothing, creeping_though_rigid
 from ppshw.diagnosis.library.jumps import Jumps, moved_reflector, zero_shift
 from ppshw.diagnosis.library.lost_motion import backlash, friction
 from ppshw.diagnosis.library.sampled import moments_about
@@ -67,7 +67,8 @@ def library(
     creeps   whether something seems to creep: its two time constants are tried more finely
     """
     makers = (
-        thermal, tracker_scale, coupling, moving_weight, force_sensor, creeping_from_nothing, missing_compliance,
+        thermal, tracker_scale, coupling, moving_weight, force_sensor, creeping_from_nothing, creeping_though_rigid,
+        missing_compliance,
     )  # fmt: skip
     found = [*backlash(c, lost), *friction(c, lost), *(k for make in makers for k in make(c))]
     found += [k for make in (drift, force_sensor_jumps) for k in make(c, moments_about(c, moments))]

@@ -16,6 +16,9 @@ from ppshw.terms.shapes import Column, Context
 # restlessly, in one (a random walk that keeps its pace for half an hour: by four it was a rail that jumps four times,
 # 85 of log evidence and 82; 107 by six; 37076).
 WANDERS, RESTLESS = (2, 3, 4), (6,)
+# Time constants with which a base, or an instrument that was set up anew, goes back after it moved at once: rails were
+# homed anew by 126, 50 and 32 of log evidence where any course of the base in time said 46 (another author's 65022).
+GOES_BACK_H = (0.5, 1.5)
 
 
 def thermal(c: Context) -> Iterator[Candidate]:
@@ -65,6 +68,11 @@ def drift(c: Context, moments: Sequence[float]) -> Iterator[Candidate]:
             all6 = tuple(Column("frame", "clock", {"form": form, "tau": moment}, 0, comp) for comp in range(6))
             yield Candidate("drift", None, base, None, "time", all6[:3], {"time_h": moment}, 1 / len(moments))
             yield Candidate("drift", None, base, None, "time", all6, {"time_h": moment}, 1 / len(moments))
+        for tau in GOES_BACK_H:
+            all6 = tuple(Column("frame", "settling", {"visit_time": moment, "tau": tau}, 0, comp) for comp in range(6))
+            for some in (all6[:3], all6):
+                shape = {"time_h": moment, "tau_h": tau}
+                yield Candidate("drift", None, base, None, "time", some, shape, 0.2 / len(moments))
         every: list[tuple[range, str | None, float]] = [(range(3), None, 0.3), (range(6), None, 0.3)]
         every += [(range(comp, comp + 1), COMPONENTS[comp], 0.1) for comp in range(6)]
         for comps, said, share in every:  # goes one way, then another

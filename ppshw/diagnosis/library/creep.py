@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ppshw.diagnosis.library.candidate import Candidate
-from ppshw.diagnosis.library.sampled import elastic_frames
+from ppshw.diagnosis.library.sampled import elastic_frames, loads_on
 from ppshw.terms import COMPONENTS
 from ppshw.terms.shapes import Column, Context
 
@@ -22,6 +22,7 @@ ALONG = ("exponential", "log", "wrench", "total")
 # Share of a creep of every link alike, beside a link's: forty creeps of eleven authors were all of one link (three were
 # every link's, one by 2.9 of log evidence), which makes it 1.2 % and each of six links 16 % (Jeffreys 1946).
 OF_ALL_LINKS = 0.07
+OF_THE_RIGID = 0.3  # share of a link's creep that the file has rigid, as of one that it lets bend
 BY_WEIGHT = ("exponential", "log")  # of what hangs there, whatever its moment in the pose: under what bears it alike
 
 
@@ -77,6 +78,18 @@ def creeping(c: Context, finely: bool = False) -> Iterator[Candidate]:
                 of = {"frame": frame, "form": form, "tau": taus[0]}
                 free = tuple(Column("frame", "creeping", {**of, "component": b}, frame, comp) for comp, b in elements)
                 yield Candidate("creep", name, name, None, "since_load_change", free, shape, half)
+
+
+def creeping_though_rigid(c: Context) -> Iterator[Candidate]:
+    """Links that the machine file has rigid, which give way only as a load stays: pads, and resin of a couch top."""
+    if len(set(c.recording.load)) < 2 or not c.recording.has_wrench:
+        return
+    for k, joint in enumerate(c.machine.joints):
+        for b in loads_on(c, k + 1) if joint.elastic is None else ():
+            for tau, form in itertools.product(CREEP_H, ANY_WAY):
+                late = Column("frame", "creeping", {"frame": k + 1, "component": b, "form": form, "tau": tau}, k + 1, b)
+                where = ("creep", joint.name, joint.name, COMPONENTS[b], "since_load_change")
+                yield Candidate(*where, (late,), {"tau_h": tau}, OF_THE_RIGID if b > 2 else 0.3 * OF_THE_RIGID)
 
 
 def much_of_it(c: Context, frame: int, acting: Sequence[int]) -> list[tuple[int, int]]:

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from ppshw.diagnosis.library.candidate import Candidate
 from ppshw.diagnosis.library.sampled import (
+    MOMENTS,
     called,
     came_from_both_sides,
+    moments_between,
     moving_joints,
     nearest_component,
     own_component,
@@ -35,6 +37,7 @@ SOFTEST, TYPICAL, BRIEFLY = 20.0, 1e-4, 0.3  # a repeatability where the file ha
 SOFTEST_KNOWN = 12.0
 WENT_PAST = (0.015, 0.04)  # parts of a joint's travel by which it may have gone past where it came to
 SOME_CAME_BACK = 0.03  # of the visits
+LOOSENS = 0.1  # share of a gap that is another one from some moment on
 ROCKS = 0.02  # share of a form that goes sideways besides
 # Bristles let go in a joint that rests, within a quarter of an hour or so (two other authors'): no play does.
 LETS_GO, RESTS_H, AT_REST = np.array([0.02, 0.06, 0.2]), (0.1, 0.3, 1.0), 0.05
@@ -57,6 +60,10 @@ def backlash(c: Context, lost: Mapping[str, float]) -> Iterator[Candidate]:
             yield Candidate(*where, columns, share=share)
         for taken, share in _by_its_load(c, k, sign):  # a gap that the load takes up
             yield Candidate(*where, (sign, taken), share=share)
+        some = moments_between(c, MOMENTS)
+        for moment in some:  # what comes loose (a gap four times as wide; another author's 65004)
+            looser = replace(sign, args={**sign.args, "since": moment})
+            yield Candidate(*where, (sign, looser), {"time_h": moment}, LOOSENS / len(some))
         for sideways in _across(c, k, sign):  # a carriage that rocks as it turns back
             yield Candidate(*where, (sign, sideways), share=ROCKS)
 

@@ -66,9 +66,10 @@ def reversals(c: Context) -> Iterator[Candidate]:
                 Column("frame", "turning", {**args, "knot": j}, frame, comp) for j in range(ABOUT_ZERO)
             ])  # fmt: skip
         own, travel = own_component(c, k), float(np.ptp(c.recording.q[:, k]))
-        yield rival(c, k + 1, own, (came, way), [
-            Column("frame", "winding", {"joint": k, "way": part * travel}, k + 1, own) for part in WINDS
-        ])  # fmt: skip
+        winds = [Column("frame", "winding", {"joint": k, "way": part * travel}, k + 1, own) for part in WINDS]
+        yield rival(c, k + 1, own, (came, way), winds)
+        for comp in set(range(6)) - {nearest_component(c, k)}:  # and rocks as it does
+            yield rival(c, k + 1, own, (came, way), [*winds, replace(winds[1], component=comp)])
         for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
             both = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
             yield rival(c, k + 1, own, (came, other), [

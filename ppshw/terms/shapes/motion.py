@@ -19,10 +19,14 @@ from ppshw.terms.shapes.covariates import bump, covariate, named_column
 Array = NDArray[np.float64]
 
 
-def approach(c: Context, joint: int, pressed: int | None = None, tilted: int | None = None) -> Array:
+def approach(
+    c: Context, joint: int, pressed: int | None = None, tilted: int | None = None, since: float = -math.inf
+) -> Array:  # fmt: skip
     """The side a joint came from; with `pressed` what is more of it where the joint is loaded more than on average,
-    with `tilted` per newton metre of a moment upon it (3 to 5)."""
-    return np.asarray(c.recording.approach[:, joint] * _by_its_load(c, joint, pressed, tilted), dtype=float)
+    with `tilted` per newton metre of a moment upon it (3 to 5), with `since` from that moment on (hours since the
+    start)."""
+    side = c.recording.approach[:, joint] * (c.hours >= since)
+    return np.asarray(side * _by_its_load(c, joint, pressed, tilted), dtype=float)
 
 
 def approach_q(c: Context, joint: int, power: int = 1) -> Array:

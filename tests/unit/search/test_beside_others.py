@@ -668,6 +668,25 @@ def test_what_heat_leaves_in_the_zero_that_turns_as_its_link_bends_is_ten_times_
     assert abs(cosine) > 0.98
 
 
+def test_a_zero_that_jumps_once_is_no_shadow_of_growth_of_its_link_in_another_direction(space: Workspace) -> None:
+    """No thermometer leaps: 163 of log evidence beside 1,881 (another author's 66003). What comes back, or jumps along
+    what grows, may be its shadow."""
+    some = named(space, "thermal_growth", "zero_shift")
+    tried = Tried(space, some, 5e-5)
+    jumps = [j for j, k in enumerate(some) if k.effect == "zero_shift" and k.joint == "roll"]
+    leaps = next(j for j in jumps if [c.function for c in some[j].columns] == ["step"])
+    settles = next(j for j in jumps if [c.function for c in some[j].columns] == ["step", "settling"])
+    bends = [j for j, k in enumerate(some) if k.effect == "thermal_growth" and k.joint == "roll" and k.component]
+    across = next(j for j in bends if some[j].component != some[leaps].component)
+    along = next(j for j in bends if some[j].component == some[leaps].component)
+    for warm, jump, said, shadow in (
+        (across, leaps, 200.0, False), (across, leaps, 70.0, True),
+        (along, leaps, 200.0, True), (across, settles, 200.0, True),
+    ):  # fmt: skip
+        found = Found(warm, ("thermal_growth", "roll"), 0.0, 4000.0, first=4000.0)
+        assert (caster_of(tried, jump, said, [found]) is found) == shadow
+
+
 def test_what_was_found_before_the_growth_that_casts_it_goes_to_that(space: Workspace) -> None:
     """Where a search began elsewhere: 70 of log evidence beside growth that says 9,687 alone was a jump."""
     some = named(space, "thermal_growth", "zero_shift")
@@ -976,6 +995,24 @@ def test_a_base_that_wanders_and_turns_nearly_as_the_air_warms_is_no_growth(spac
     moved = of_size(space, np.einsum("nrc,c,n->nr", space.context.jacobian[:, :, 0], twist, course), 6.0)
     found, _ = look(having_read(space, space.data + moved), ["drift", "thermal_growth"])
     assert [f.name for f in found] == [("drift", None)]
+
+
+def test_a_base_that_moves_at_once_and_goes_back_is_a_drift_and_no_rails_homed_anew(space: Workspace) -> None:
+    """Three rails jumped at one moment and lost some of it again, 0.66, drift 0.29, beside structure over time (another
+    author's 65022: an instrument that was set up anew and warmed up)."""
+    hours = space.context.hours - space.context.hours[0]
+    at = hours[int(0.4 * len(hours)) + 2]
+    course = np.where(hours >= at, 1.0 / (1.0 + np.maximum(hours - at, 0.0) / 0.8), 0.0)  # no law of the library's
+    twist = np.array([8e-5, -1e-4, 6e-5, 4e-5, -2e-5, 3e-5])
+    moved = of_size(space, np.einsum("nrc,c,n->nr", space.context.jacobian[:, :, 0], twist, course), 3.0)
+    there = having_read(space, space.data + moved)
+    found, tried = look(there, ["drift", "zero_shift"], "base")
+    assert [f.name for f in found] == [("drift", None)]
+    said = finding(there, tried, found[0])["sentence"]
+    assert said.startswith("everything moves at once after ")
+    assert "and back again within hours" in said
+    when = tried.candidates[found[0].best].shape["time_h"]
+    assert when == pytest.approx(at, abs=0.02 * hours[-1])
 
 
 def test_growth_along_what_never_turns_says_what_it_says_at_any_joint(space: Workspace) -> None:

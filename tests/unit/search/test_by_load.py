@@ -437,6 +437,22 @@ def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one
     assert {"compliance_rx_by_Mx", "compliance_rz_by_Mz"} <= set(told)
 
 
+def test_a_link_that_the_file_has_rigid_may_creep(space: Workspace) -> None:
+    """It was structure over its moment, and a missing compliance beside that (another author's 66048 and 66068)."""
+    joint = space.machine.joint_names.index("yaw")
+    rigid = [replace(each, elastic=None) if k == joint else each for k, each in enumerate(space.machine.joints)]
+    there = prepare(replace(space.machine, joints=tuple(rigid)), space.recording, space.fit)
+    moment = there.context.wrenches[:, joint + 1, 3]
+    follows = followed(moment, there.context.hours, 0.5, moment[0])
+    moved = of_size(there, there.context.jacobian[:, :, joint + 1, 3] * follows[:, None], 3.0)
+    moved = having_read(there, there.data + moved)
+    found, tried = look(moved, ["creep", "missing_compliance", "nonlinear_stiffness"], "yaw")
+    assert [f.name for f in found] == [("creep", "yaw")]
+    said = finding(moved, tried, found[0], [])["parameters"]
+    assert said["compliance"]["unit"] == "rad/(N m)"
+    assert 0.25 < best_of(tried, found[0]).shape["tau_h"] < 1.0
+
+
 def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspace) -> None:
     """Creep was not thought of without a column load: another author's arm had structure over a moment, and scatter."""
     nobody = replace(space.recording, load=("",) * len(space.recording))

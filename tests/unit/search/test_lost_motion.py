@@ -87,6 +87,24 @@ def test_a_gap_that_a_load_takes_up_is_play_and_says_by_how_much(space: Workspac
     assert -1.0 < said["added_at_twice_the_load"]["value"] / said["gap"]["value"] < -0.1
 
 
+@pytest.mark.parametrize("times", [4.0, 0.25])
+def test_a_gap_that_is_another_one_from_some_moment_on_is_play_and_says_both(space: Workspace, times: float) -> None:
+    """What came loose was structure over its side and time (another author's 65004)."""
+    side = on_joint(space, "approach").evaluate(space.context)
+    late = int(0.6 * len(space.recording)) + 3
+    side[late:] *= times
+    there = having_read(space, space.data + of_size(space, side, 3.0))
+    found, tried = look(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("backlash", NAME)]
+    answer = finding(there, tried, found[0])
+    gap, more = (answer["parameters"][name]["value"] for name in ("gap", "gap_added_later"))
+    assert (gap + more) / gap == pytest.approx(times, rel=0.15)
+    when = best_of(tried, found[0]).shape["time_h"]
+    assert when == pytest.approx(space.context.hours[late], abs=0.02 * space.context.hours[-1])
+    assert f"mrad from {when:.2f} h on) whenever it turns back" in answer["sentence"]
+    assert _lost(there, tried, found)[NAME] == pytest.approx(max(abs(gap), abs(gap + more)))
+
+
 def test_friction_keeps_its_name_and_never_all_of_the_weight(space: Workspace) -> None:
     width = 0.15 * travel_of(space)
     there = moved_by(space, on_joint(space, "slipping", width=width), 3.0)
