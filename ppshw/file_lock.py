@@ -6,7 +6,16 @@ The system drops it with the process, however that ends.
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
+
+from ppshw.errors import BadInput
+
+
+def require_a_system_that_locks() -> None:
+    """Raises BadInput on Windows, which has neither the locks nor the signals by which axes are kept to one program."""
+    if sys.platform == "win32":
+        raise BadInput("machines are driven from Linux (or macOS), not from Windows")
 
 
 def locked(path: Path) -> int:

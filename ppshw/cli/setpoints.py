@@ -12,6 +12,7 @@ import numpy as np
 from ppshw.cli.answers import say, warn
 from ppshw.cli.arguments import joint_values, machine_of, numbers, pairs
 from ppshw.errors import BadInput
+from ppshw.file_lock import require_a_system_that_locks
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
 
@@ -159,8 +160,6 @@ def compensate(a: argparse.Namespace) -> None:
 
 
 def move(a: argparse.Namespace) -> None:
-    from ppshw.cli.site import require_a_system_that_locks
-
     require_a_system_that_locks()
     from campaigns.plan import travel_time
     from campaigns.site import load_site, open_bench

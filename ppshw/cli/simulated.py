@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from ppshw.cli.answers import FIGURE_HEAD, figure_row, new_file, put, say
 from ppshw.cli.arguments import machine_of
-from ppshw.cli.site import require_a_system_that_locks
 from ppshw.errors import BadInput
+from ppshw.file_lock import require_a_system_that_locks
 from ppshw.progress import Bar
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import textwrap
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -16,6 +15,7 @@ from ppshw.cli.answers import new_recording, say, warn
 from ppshw.cli.arguments import joint_values, machine_of, named_numbers
 from ppshw.cli.setpoints import check_point, run_up, why_it_stays
 from ppshw.errors import BadInput, HardwareError
+from ppshw.file_lock import require_a_system_that_locks
 from ppshw.progress import Bar, folded
 from ppshw.quantities import many
 from ppshw.whole_file import file_hash
@@ -23,12 +23,6 @@ from ppshw.whole_file import file_hash
 NARROWEST = 16  # letters of a column that is wrapped
 ANGLES = {"gon": math.pi / 200, "deg": math.pi / 180, "rad": 1.0}
 FARTHEST = 1000.0  # m that a slope distance may be, before it looks like millimetres
-
-
-def require_a_system_that_locks() -> None:
-    """Raises BadInput on Windows, which has neither the locks nor the signals by which axes are kept to one program."""
-    if sys.platform == "win32":
-        raise BadInput("machines are driven from Linux (or macOS), not from Windows")
 
 
 def run(a: argparse.Namespace) -> None:

@@ -708,7 +708,7 @@ def test_an_adapter_whose_makers_library_is_not_there_has_its_row(desk: Path, mo
 
 
 def test_machines_are_not_driven_from_windows(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ppshw.cli.site.sys.platform", "win32")
+    monkeypatch.setattr("ppshw.file_lock.sys.platform", "win32")
     for words in (["check"], ["run", "little.yaml", "--out", "x.db"]):
         assert "machines are driven from Linux (or macOS), not" in refused(desk, *words, "--site", desk / "site.yaml")
 
