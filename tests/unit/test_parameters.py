@@ -262,7 +262,7 @@ def test_an_axis_within_a_milliradian_of_its_frame_s_is_along_it(space: Workspac
 
 
 def test_a_straight_drift_has_no_time_constant(space: Workspace) -> None:
-    straight = [k for k in library(space.context) if k.effect == "drift" and k.columns[0].args["form"] == "linear"]
+    straight = [k for k in library(space.context) if k.effect == "drift" and k.columns[0].args.get("form") == "linear"]
     assert straight
     assert all("tau_h" not in k.shape for k in straight)
 
