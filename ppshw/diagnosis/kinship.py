@@ -76,8 +76,8 @@ def of_its_kind(
             return over == set(named.covariates)
         case "drift":
             return rival.frame == named.frame and all(name == "time" or name.endswith(inside) for name in over)
-        case "backlash":  # from which side its joint came, and nothing else
-            return here and rival.covariates == (named.covariate,) and len(rival.columns) == 1
+        case "backlash":  # from which side its joint came, and nothing else; it may rock as it turns back
+            return here and rival.covariates == (named.covariate,)
         case "friction_hysteresis":  # what winds up over whichever ways (sealed 81071 lost its name to that)
             return here and all(column.function == "winding" for column in rival.columns)
         case "zero_shift":

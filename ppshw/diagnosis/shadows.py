@@ -19,8 +19,8 @@ SAME_EFFECT = 0.5
 # What is left beside a finding that spoke so many times louder, and sits in the same joint or acts by the same cause,
 # is what the finding's form got wrong, not another effect.
 # A short wave, though, is not what anything else's form leaves over the same joint, nor a jump what growth leaves in
-# another direction (another author's 66003): there a fifth of it. What has no
-# name has no near forms either and leaves twice as much.
+# another direction (another author's 66003): there a fifth of it. What has no name has no near forms either and leaves
+# twice as much.
 # What heat did while nobody measured, in a break, shows over time beside it, in any joint; what a wandering base leaves
 # over hours shows as creep of a whole rail.
 SHADOW, OF_A_WAVE, LEFT_OF_A_RIDDLE, ANYWHERE = 0.1, 0.2, 2.0, 0.1

@@ -68,8 +68,10 @@ def reversals(c: Context) -> Iterator[Candidate]:
         own, travel = own_component(c, k), float(np.ptp(c.recording.q[:, k]))
         winds = [Column("frame", "winding", {"joint": k, "way": part * travel}, k + 1, own) for part in WINDS]
         yield rival(c, k + 1, own, (came, way), winds)
+        side = Column("frame", "approach", {"joint": k}, k + 1, own)
         for comp in set(range(6)) - {nearest_component(c, k)}:  # and rocks as it does
             yield rival(c, k + 1, own, (came, way), [*winds, replace(winds[1], component=comp)])
+            yield rival(c, k + 1, own, (came,), (side, replace(side, component=comp)))
         for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
             both = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
             yield rival(c, k + 1, own, (came, other), [

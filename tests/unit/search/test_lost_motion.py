@@ -44,11 +44,25 @@ def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Wor
     assert [f.name for f in found] == [("backlash", NAME)]
 
 
-@pytest.mark.parametrize("ways", [(0.035,), (0.01, 0.04, 0.12)])
+def test_play_that_rocks_is_no_friction_that_does_where_play_is_not_in_the_library(space: Workspace) -> None:
+    """Two other authors' (65056 and 66047): their hysteresis without a name kept to its own direction."""
+    own = on_joint(space, "approach")
+    rocks = replace(own, component=next(comp for comp in (3, 4, 5) if comp != own.component))
+    both = of_size(space, own.evaluate(space.context), 3.0) + of_size(space, rocks.evaluate(space.context), 2.0)
+    there = having_read(space, space.data + both)
+    found, tried = look(there, ["friction_hysteresis"], NAME)
+    assert [f.name for f in found] == [("nameless", None)]
+    assert best_of(tried, found[0]).covariates == (f"approach_{NAME}",)
+    found, _ = look(there, ["friction_hysteresis", "backlash"], NAME)
+    assert [f.name for f in found] == [("backlash", NAME)]
+
+
+@pytest.mark.parametrize(("ways", "rocks"), [((0.035,), 0.0), ((0.01, 0.04, 0.12), 0.0), ((0.01, 0.04, 0.12), 1.5)])
 def test_friction_is_not_called_play_where_friction_is_not_in_the_library(
-    space: Workspace, ways: tuple[float, ...]
+    space: Workspace, ways: tuple[float, ...], rocks: float
 ) -> None:
-    """By any function of the way since it turned back seven of 22 were play (nine authors')."""
+    """By any function of the way since it turned back seven of 22 were play (nine authors'), one that rocks its
+    carriage by any hysteresis in its own direction (61024)."""
     k = space.machine.joint_names.index(NAME)
     q, lag = space.recording.q[:, k], np.zeros((len(ways), len(space.recording)))
     for element, way in zip(lag, np.array(ways) * travel_of(space), strict=True):
@@ -56,6 +70,9 @@ def test_friction_is_not_called_play_where_friction_is_not_in_the_library(
         for visit, goes in enumerate(np.diff(q), start=1):  # each slips once it has gone its way, as Jenkins' do
             element[visit] = np.clip(element[visit - 1] + 2.0 * goes / way, -1.0, 1.0)
     there = moved_along(space, NAME, lag.mean(axis=0), 3.0)
+    if rocks:
+        across = space.context.jacobian[:, :, k + 1, 3 if own_component(space.context, k) != 3 else 4]
+        there = having_read(there, there.data + of_size(there, across * lag.mean(axis=0)[:, None], rocks))
     found, tried = look(there, ["backlash"], NAME)
     assert [f.name for f in found] == [("nameless", None)]
     assert best_of(tried, found[0]).covariates == (f"approach_{NAME}", f"way_{NAME}")
