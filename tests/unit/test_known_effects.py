@@ -102,14 +102,17 @@ def test_lost_motion_is_taken_out_by_the_direction_of_approach(start: Array, sid
     assert [(v.taken_out, v.sentence()) for v in found.effects] == [(True, "backlash of vertical")]
 
 
-def test_a_gap_that_came_loose_while_it_was_measured_is_taken_out_as_it_was_at_the_end() -> None:
+@pytest.mark.parametrize(("since", "lost"), [(0.6, 3.0), (1.4, 1.0)])
+def test_a_gap_that_came_loose_while_it_was_measured_is_taken_out_as_it_was_at_the_end(
+    since: float, lost: float
+) -> None:
     wide, plain = 3.0, lost_motion().calibration
     (effect,) = plain.effects
-    looser = replace(effect.columns[0], args={**effect.columns[0].args, "since": 0.6 * HOURS})
+    looser = replace(effect.columns[0], args={**effect.columns[0].args, "since": since * HOURS})
     values = (effect.values[0], effect.values[0] * (wide - 1.0))
     effect = replace(effect, columns=(effect.columns[0], looser), values=values, std=(1e-6, 1e-6))
     found = asked(Compensator(replace(plain, effects=(effect,))), start=BELOW)
-    assert np.linalg.norm(miss(found.corrected, -wide * GAP / 2)) < 5e-5
+    assert np.linalg.norm(miss(found.corrected, -lost * GAP / 2)) < 5e-5
     assert [(v.taken_out, v.sentence()) for v in found.effects] == [(True, "backlash of vertical")]
 
 
