@@ -69,20 +69,18 @@ def reversals(c: Context) -> Iterator[Candidate]:
         winds = [Column("frame", "winding", {"joint": k, "way": part * travel}, k + 1, own) for part in WINDS]
         yield rival(c, k + 1, own, (came, way), winds)
         side = Column("frame", "approach", {"joint": k}, k + 1, own)
-        for comp in set(range(6)) - {nearest_component(c, k)}:  # and rocks as it does
+        across = set(range(6)) - {nearest_component(c, k)}
+        for comp in across:  # and rocks as it does
             yield rival(c, k + 1, own, (came, way), [*winds, replace(winds[1], component=comp)])
             yield rival(c, k + 1, own, (came,), (side, replace(side, component=comp)))
         for other in _goes_along(c, k + 1):  # what it loses goes with something else as well
             both = {"first": came, "second": other, "a": 0, "b": 0, "count": 1}
-            yield rival(c, k + 1, own, (came, other), [
-                Column("frame", "approach", {"joint": k}, k + 1, own),
-                Column("frame", "covariate_pair", both, k + 1, own),
-            ])  # fmt: skip
-        for comp in set(range(6)) - {nearest_component(c, k)} if k + 1 < c.machine.n else ():  # what drags sideways
-            side = Column("frame", "approach", {"joint": k}, k + 1, comp)
+            yield rival(c, k + 1, own, (came, other), (side, Column("frame", "covariate_pair", both, k + 1, own)))
+        for comp in across if k + 1 < c.machine.n else ():  # what drags sideways
+            drags = replace(side, component=comp)
             where = [Column("frame", "approach_q", {"joint": k, "power": p}, k + 1, comp) for p in (1, 2)]
-            yield rival(c, k + 1, comp, (came,), (side,))
-            yield rival(c, k + 1, comp, (came, f"q_{name}"), (side, *where))
+            yield rival(c, k + 1, comp, (came,), (drags,))
+            yield rival(c, k + 1, comp, (came, f"q_{name}"), (drags, *where))
     sides = [f"approach_{name}" for k, name in moving_joints(c) if came_from_both_sides(c, k)]
     for one, other in itertools.combinations(sides, 2):  # both together say how something seats
         product = {"first": one, "second": other, "a": 0, "b": 0, "count": 1}
