@@ -74,11 +74,15 @@ class Laid:
                 np.divide(fitted, scale[:, None], out=self._values[at : at + len(part)], casting="same_kind")
                 at += len(part)
         self._place[elsewhere] = np.arange(at, at + len(elsewhere))
-        for first in range(0, len(elsewhere), FIELDS):
+        self._parts = [slice(k, min(k + BLOCK, len(elsewhere))) for k in range(0, len(elsewhere), BLOCK)]
+
+        def of_some(first: int) -> None:
             part = elsewhere[first : first + FIELDS]
             raw = np.stack([columns[k].evaluate(space.context) for k in part], axis=2)
             self.scale[part] = np.maximum(np.sqrt((raw**2).sum(axis=(0, 1)) / readings), 1e-30)
             self._fields[first : first + len(part)] = (space.whiten(raw) / self.scale[part]).T
+
+        side_by_side(of_some, range(0, len(elsewhere), FIELDS))
         self._column = np.argsort(self._place)  # of every row
         self._weights = np.array([(white**2).sum(axis=1) for white in self._white]).reshape(-1, fit)
         self.plain = self._squares()[self._place]
@@ -93,8 +97,13 @@ class Laid:
             span = self._spans[k]
             out[self._column[span]] = self._values[span] @ self._along(x, k).astype(np.float32)
 
+        def of_fields(k: int) -> None:
+            part = self._parts[k]
+            out[self._column[len(self._values) :][part]] = self._fields[part] @ single
+
+        single = x.astype(np.float32)
+        side_by_side(of_fields, range(len(self._parts)))
         side_by_side(of_group, range(len(self._spans)))
-        out[self._column[len(self._values) :]] = self._fields @ x.astype(np.float32)
         return out
 
     def scores(self) -> Array:
@@ -165,10 +174,12 @@ class Laid:
                 part = slice(at, min(at + BLOCK, span.stop))
                 keep(part, self._values[part].astype(float) @ along)
 
+        def of_fields(k: int) -> None:
+            part, before = self._parts[k], len(self._values)
+            keep(slice(part.start + before, part.stop + before), self._fields[part].astype(float) @ x)
+
+        side_by_side(of_fields, range(len(self._parts)))
         side_by_side(of_group, range(len(self._spans)))
-        for at in range(0, len(self._fields), BLOCK):
-            fields = self._fields[at : at + BLOCK].astype(float)
-            keep(slice(at + len(self._values), at + len(self._values) + len(fields)), fields @ x)
         return out, squares
 
     def _squares(self) -> Array:
