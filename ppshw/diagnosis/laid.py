@@ -74,6 +74,7 @@ class Laid:
                 np.divide(fitted, scale[:, None], out=self._values[at : at + len(part)], casting="same_kind")
                 at += len(part)
         self._place[elsewhere] = np.arange(at, at + len(elsewhere))
+        # of the fields, each multiplied in one thread
         self._parts = [slice(k, min(k + BLOCK, len(elsewhere))) for k in range(0, len(elsewhere), BLOCK)]
 
         def of_some(first: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ppshw.diagnosis import laid
 from ppshw.diagnosis.evidence import Tried
 from ppshw.diagnosis.laid import Laid
 from ppshw.diagnosis.library import library
@@ -41,19 +42,31 @@ def test_products_with_readings_are_those_of_the_readings_that_a_column_moves(
     space: Workspace, whole: np.ndarray
 ) -> None:
     x = np.random.default_rng(1).standard_normal((len(whole), 3))
-    laid = Laid(space, COLUMNS)
-    assert np.allclose(laid.rows(np.arange(len(COLUMNS))), whole.T, rtol=1e-5, atol=1e-4 * np.abs(whole).max())
-    assert np.allclose(laid.product(x), whole.T @ x, rtol=1e-4, atol=1e-4 * np.linalg.norm(whole[:, 0]))
+    one = Laid(space, COLUMNS)
+    assert np.allclose(one.rows(np.arange(len(COLUMNS))), whole.T, rtol=1e-5, atol=1e-4 * np.abs(whole).max())
+    assert np.allclose(one.product(x), whole.T @ x, rtol=1e-4, atol=1e-4 * np.linalg.norm(whole[:, 0]))
+
+
+def test_the_parts_that_are_worked_out_side_by_side_are_together_all_columns(
+    space: Workspace, whole: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, at_one_go = np.random.default_rng(4).standard_normal((len(whole), 2)), Laid(space, COLUMNS)
+    monkeypatch.setattr(laid, "BLOCK", 1)
+    monkeypatch.setattr(laid, "FIELDS", 1)
+    in_parts = Laid(space, COLUMNS)
+    assert np.allclose(in_parts.product(x), at_one_go.product(x), rtol=1e-5)
+    assert np.allclose(in_parts.seen(), at_one_go.seen(), rtol=1e-9)
+    assert np.allclose(in_parts.scale, at_one_go.scale, rtol=1e-12)
 
 
 def test_information_is_what_the_base_model_leaves_of_columns_together(space: Workspace, whole: np.ndarray) -> None:
     """Of two on one component of a frame, of two at different places, of what is on no frame."""
-    laid, left = Laid(space, COLUMNS), whole.T @ space.absorb(whole)
-    assert np.allclose(laid.seen(), np.diag(left), rtol=1e-4)
-    assert np.allclose(laid.plain, (whole**2).sum(axis=0), rtol=1e-5)
+    one, left = Laid(space, COLUMNS), whole.T @ space.absorb(whole)
+    assert np.allclose(one.seen(), np.diag(left), rtol=1e-4)
+    assert np.allclose(one.plain, (whole**2).sum(axis=0), rtol=1e-5)
     pairs = np.array([[0, 1], [0, 3], [2, 4], [5, 2]])
     scale = np.sqrt(np.diag(left))
-    for pair, found in zip(pairs, laid.information(pairs), strict=True):
+    for pair, found in zip(pairs, one.information(pairs), strict=True):
         assert np.allclose(found, left[np.ix_(pair, pair)], atol=1e-4 * scale[pair].max() ** 2)
 
 
