@@ -74,8 +74,6 @@ class Laid:
                 np.divide(fitted, scale[:, None], out=self._values[at : at + len(part)], casting="same_kind")
                 at += len(part)
         self._place[elsewhere] = np.arange(at, at + len(elsewhere))
-        # of the fields, each multiplied in one thread
-        self._parts = [slice(k, min(k + BLOCK, len(elsewhere))) for k in range(0, len(elsewhere), BLOCK)]
 
         def of_some(first: int) -> None:
             part = elsewhere[first : first + FIELDS]
@@ -98,12 +96,12 @@ class Laid:
             span = self._spans[k]
             out[self._column[span]] = self._values[span] @ self._along(x, k).astype(np.float32)
 
-        def of_fields(k: int) -> None:
-            part = self._parts[k]
-            out[self._column[len(self._values) :][part]] = self._fields[part] @ single
+        def of_fields(first: int) -> None:
+            at = len(self._values) + first
+            out[self._column[at : at + BLOCK]] = self._fields[first : first + BLOCK] @ single
 
         single = x.astype(np.float32)
-        side_by_side(of_fields, range(len(self._parts)))
+        side_by_side(of_fields, range(0, len(self._fields), BLOCK))
         side_by_side(of_group, range(len(self._spans)))
         return out
 
@@ -175,11 +173,11 @@ class Laid:
                 part = slice(at, min(at + BLOCK, span.stop))
                 keep(part, self._values[part].astype(float) @ along)
 
-        def of_fields(k: int) -> None:
-            part, before = self._parts[k], len(self._values)
-            keep(slice(part.start + before, part.stop + before), self._fields[part].astype(float) @ x)
+        def of_fields(first: int) -> None:
+            at = len(self._values) + first
+            keep(slice(at, at + BLOCK), self._fields[first : first + BLOCK].astype(float) @ x)
 
-        side_by_side(of_fields, range(len(self._parts)))
+        side_by_side(of_fields, range(0, len(self._fields), BLOCK))
         side_by_side(of_group, range(len(self._spans)))
         return out, squares
 
