@@ -33,10 +33,10 @@ types: env
 	$(BIN)/mypy
 layers: env
 	$(BIN)/lint-imports
-# One linear-algebra thread per test process: processes with two threads each would fight over two cores. Three of them,
+# One thread per test process: processes with two threads each would fight over two cores. Three of them,
 # since many tests wait for machine time. Four are hardly faster (613 s), and a simulated drive, or run, was late now and then.
 unit: env
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 3 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 PYTHON_CPU_COUNT=1 $(BIN)/pytest -n 3 --dist worksteal
 
 clean:
 	rm -rf $(VENV) demo-out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -13,7 +13,6 @@ are kept in single precision.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppshw.diagnosis.workspace import Workspace
+from ppshw.process import cores
 from ppshw.terms.shapes import Column, Context, What
 
 Array = NDArray[np.float64]
@@ -206,7 +206,11 @@ def _sorted(columns: Sequence[Column]) -> tuple[dict[tuple[int, int], list[int]]
 
 def side_by_side(work: Callable[[int], None], parts: Iterable[int]) -> None:
     """Parts that write to places of their own, on several cores: each is a product in one thread (`process`)."""
-    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as threads:
+    if (count := min(MOST_THREADS, cores())) == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(count) as threads:
         list(threads.map(work, parts))
 
 

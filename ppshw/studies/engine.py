@@ -12,7 +12,6 @@ dead worker, so what it gives up is done once more alone; a job that kills its w
 
 from __future__ import annotations
 
-import os
 import queue
 import re
 import time
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from ppshw.errors import BadInput, PpshwError
+from ppshw.process import cores
 from ppshw.studies.journal import Journal
 
 Json = dict[str, Any]
@@ -247,7 +247,6 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
         raise BadInput(
             f"module {missing.name} is missing: pip install 'ppshw[studies]', or --workers 0 for one process without it"
         ) from None
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they share the cores already
     settings = {
         "logging": {"distributed": "critical"},
         "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
@@ -263,9 +262,10 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
             yield client, 0
         return
     count = min(cluster.workers, jobs)
+    share = {"OPENBLAS_NUM_THREADS": "1", "PYTHON_CPU_COUNT": str(max(1, cores() // max(1, count)))}
     with (
         dask.config.set(settings),
-        distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
+        distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, env=share,
                                  dashboard_address="127.0.0.1:0", silence_logs="CRITICAL") as local,
         distributed.Client(local, set_as_default=False) as client,
     ):  # fmt: skip

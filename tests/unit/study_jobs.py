@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 
 from ppshw.errors import IdentificationFailed
+from ppshw.process import cores
 
 
 def dice(seed: int, throws: int = 4) -> dict[str, Any]:
     """As a study's job: what it says depends on its seed alone."""
     return {"thrown": np.random.default_rng(seed).normal(size=throws).tolist()}
+
+
+def says_its_cores(seed: int) -> dict[str, Any]:
+    return {"seed": seed, "cores": cores()}
 
 
 def slow_dice(seed: int, seconds: float) -> dict[str, Any]:

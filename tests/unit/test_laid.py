@@ -47,9 +47,11 @@ def test_products_with_readings_are_those_of_the_readings_that_a_column_moves(
     assert np.allclose(one.product(x), whole.T @ x, rtol=1e-4, atol=1e-4 * np.linalg.norm(whole[:, 0]))
 
 
+@pytest.mark.parametrize("cores", ["1", "3"])
 def test_the_parts_that_are_worked_out_side_by_side_are_together_all_columns(
-    space: Workspace, whole: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    space: Workspace, whole: np.ndarray, monkeypatch: pytest.MonkeyPatch, cores: str
 ) -> None:
+    monkeypatch.setenv("PYTHON_CPU_COUNT", cores)
     x, at_one_go = np.random.default_rng(4).standard_normal((len(whole), 2)), Laid(space, COLUMNS)
     product = at_one_go.product(x)
     monkeypatch.setattr(laid, "BLOCK", 1)

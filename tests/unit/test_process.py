@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from ppshw.process import cores
+
 FAULTS_OF_ARRAYS = """
 import resource
 {first}
@@ -35,3 +37,12 @@ def test_freed_memory_is_kept_for_the_next_large_array() -> None:
     without = faults("")
     kept = faults("import ppshw.process")
     assert kept < without / 10
+
+
+@pytest.mark.parametrize(("said", "found"), [("3", 3), ("0", None), ("-1", None), ("default", None), ("", None)])
+def test_no_more_cores_than_there_are_for_the_process(
+    monkeypatch: pytest.MonkeyPatch, said: str, found: int | None
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 5}, raising=False)
+    monkeypatch.setenv("PYTHON_CPU_COUNT", said)
+    assert cores() == (found or 2)

@@ -74,6 +74,12 @@ def test_order_of_the_jobs_and_batches_change_nothing_but_the_order_of_the_answe
     assert backward.results == forward.results
 
 
+def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "7")
+    found = run_jobs(study_jobs.says_its_cores, jobs(2), cluster=Cluster(workers=2))
+    assert [one["cores"] for one in found.results.values()] == [3, 3]
+
+
 def test_a_worker_lost_in_the_middle_costs_no_result(tmp_path: Path) -> None:
     found = run_jobs(study_jobs.falls_over_once, jobs(8, marks=str(tmp_path)), cluster=Cluster(workers=2))
     assert (tmp_path / "fell").exists()
