@@ -92,6 +92,7 @@ def test_the_seal_is_the_hash_of_the_truth_and_another_salt_makes_another(plant:
     assert truth["rms_mm"] == pytest.approx(2 * truth["repeatability_rms_mm"], rel=0.01)
 
 
+@pytest.mark.long
 def test_the_truth_says_its_parameters_with_their_units(plant: Plant) -> None:
     said: dict[str, set[str]] = {}
     for effect in CARRIED:

@@ -190,6 +190,7 @@ def test_a_row_that_was_lost_in_some_of_the_columns(case: tuple[Machine, Recordi
     assert np.allclose(mended.points[same], sound.points[same])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("labelled", [True, False])
 def test_the_reaction_instead_of_the_payload(case: tuple[Machine, Recording], labelled: bool) -> None:
     machine, recording = case

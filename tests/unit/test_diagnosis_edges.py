@@ -93,6 +93,7 @@ def effects(answer: dict[str, Any]) -> set[str]:
     return {row["effect"] for row in answer["visibility"]}
 
 
+@pytest.mark.long
 def test_one_reflector_is_enough_and_may_have_been_moved_at_some_moment(case: Case, tmp_path: Path) -> None:
     targets = case.machine["tip"]["targets"]
     case.machine["tip"]["targets"] = {"P1": targets["P1"]}
@@ -101,6 +102,7 @@ def test_one_reflector_is_enough_and_may_have_been_moved_at_some_moment(case: Ca
     assert {"backlash", "target_moved"} <= effects(answer)
 
 
+@pytest.mark.long
 def test_a_known_reflector_that_was_knocked_is_no_noise(case: Case, tmp_path: Path) -> None:
     """What known reflectors may be off by took it while noise was learnt: 0.085 mm was said where 0.041 is, and play
     beside it was lost."""
@@ -156,6 +158,7 @@ def test_a_tracker_that_nobody_placed_lost_beams_and_gaps_in_covariates(case: Ca
     assert {"backlash", "drift"} <= effects(answer)
 
 
+@pytest.mark.long
 def test_a_beam_that_reads_zeros_again_and_again_is_set_aside(case: Case, tmp_path: Path) -> None:
     """Of 4 % of the visits and more nothing was left, as the signs of moments were asked of them too."""
     for row in case.rows[5::20]:

@@ -78,6 +78,7 @@ def rms(a: Array) -> float:
     return float(np.sqrt(np.nanmean(a**2)))
 
 
+@pytest.mark.long
 def test_what_follows_at_once_is_predicted_as_if_both_were_one() -> None:
     together = residuals(whole(), remembering(None))[FIRST:]
     alone = residuals(later(), remembering(None))

@@ -50,6 +50,7 @@ def test_a_wave_along_and_one_across_a_travel_have_their_period(clean: Workspace
     assert int(np.argmin(tried)) == own  # whose longer ones are candidates of every joint's
 
 
+@pytest.mark.long
 def test_it_has_a_name_that_says_which_way_and_structure_where_the_name_is_taken_out(clean: Workspace) -> None:
     own = int(np.argmax(np.abs(clean.machine.joints[RAIL].axis)))
     said = []

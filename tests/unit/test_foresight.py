@@ -71,6 +71,7 @@ def test_one_joint_sweeps_are_blind_to_cross_joint_errors_and_random_poses_are_n
     assert not any("cross_coupling" in line for line in anywhere.warnings())
 
 
+@pytest.mark.long
 def test_a_link_that_gives_way_to_no_load_at_all_is_foreseen_too(machine: Machine, tmp_path: Path) -> None:
     """`elastic: {loads: []}` was a division by zero."""
     stiff = replace(machine, joints=(replace(machine.joints[0], elastic=Elastic((), False)), *machine.joints[1:]))
@@ -83,6 +84,7 @@ def test_a_single_load_shows_neither_creep_nor_clearance_nor_nonlinear_stiffness
     assert len(seen.warnings()) <= 8
 
 
+@pytest.mark.long
 def test_a_joint_that_comes_from_one_side_only_shows_no_backlash(machine: Machine, tmp_path: Path) -> None:
     low, _ = machine.limits()
     text = f"""name: up
@@ -137,6 +139,7 @@ def test_the_diagnosis_campaign_turns_back_within_a_hundredth_of_every_travel(ma
         assert (np.diff(np.sign(small)) != 0).sum() >= 3
 
 
+@pytest.mark.long
 def test_what_the_noise_hides_is_not_laid_on_constants_and_compliances(machine: Machine, tmp_path: Path) -> None:
     """A tracker of three millimetres: of backlash the base model leaves more than half, and nobody sees it."""
     coarse = replace(machine, tracker=replace(machine.tracker, position_sigma=3e-3))
@@ -151,6 +154,7 @@ def test_what_the_noise_hides_is_not_laid_on_constants_and_compliances(machine: 
     assert "moving_weight of lateral" in taken
 
 
+@pytest.mark.long
 def test_a_short_campaign_is_told_to_hold_its_loads(machine: Machine, tmp_path: Path) -> None:
     """Creep shows to who waits; it was said that no campaign shows it, because 450 visits of an hour do not."""
     found = foresee(planned(RANDOM, machine, tmp_path))
@@ -177,6 +181,7 @@ def test_visits_that_separate_two_effects_raise_what_tells_them_apart(
     assert len(plan.visits) <= 15
 
 
+@pytest.mark.long
 def test_what_happens_at_a_moment_happened_in_the_visits_so_far(machine: Machine, sweeps: Plan) -> None:
     """Jumps were put at moments over all that might be measured as well: seven of eight after the last visit, √λ 0.0
     before and after for every joint (a reviewer's)."""
@@ -186,6 +191,7 @@ def test_what_happens_at_a_moment_happened_in_the_visits_so_far(machine: Machine
     assert min(jumps) > 1.0
 
 
+@pytest.mark.long
 def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_help(
     machine: Machine, sweeps: Plan
 ) -> None:
@@ -201,6 +207,7 @@ def test_where_no_visits_are_written_it_is_said_whether_none_are_needed_or_none_
     assert apart.why_none() == f"{said}: nothing written"
 
 
+@pytest.mark.long
 def test_what_may_be_measured_next_goes_on_in_all_columns_of_a_recording(machine: Machine, sweeps: Plan) -> None:
     """Ages of loads, which every run writes, and columns of other kinds had the command fall over (a reviewer's)."""
     before = would_be(sweeps)
@@ -233,6 +240,7 @@ def test_a_load_that_still_hangs_there_takes_its_time_to_be_taken_off(machine: M
     np.testing.assert_allclose(apart[1] - apart[0], [LOAD_CHANGE_S, 0.0], atol=1e-3)
 
 
+@pytest.mark.long
 def test_where_a_recording_shows_an_effect_it_is_that_form_which_is_told_from_the_other(tmp_path: Path) -> None:
     """Middling forms were told apart, and nothing was written, in five of six recordings of a reviewer's whose own were
     not."""

@@ -132,6 +132,7 @@ def test_what_the_base_model_takes_of_a_finding_excuses_no_visit(aside: Workspac
     assert still_gross(shifted, GrossErrors(visits=(BAD,))).visits == (BAD,)
 
 
+@pytest.mark.long
 def test_a_good_visit_that_looked_wrong_beside_a_bad_one_comes_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,6 +168,7 @@ def _dented(clean: Workspace, visits: np.ndarray, by: np.ndarray | float = 3e-3)
     return prepare(clean.machine, recording, np.ones(len(recording), dtype=bool))
 
 
+@pytest.mark.long
 def test_wrong_visits_that_gather_at_one_place_of_a_joint_s_travel_are_structure_there(clean: Workspace) -> None:
     """Every other of the ten visits that are nearest to one place of yaw, and as many anywhere."""
     yaw = clean.machine.joint_names.index("yaw")

@@ -115,6 +115,7 @@ def test_a_group_that_nothing_speaks_for_shrinks_and_one_that_is_there_is_found(
     assert np.sqrt(np.diag(covariance)[:40].mean()) == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.long
 def test_an_element_that_came_to_nothing_beside_its_like_is_not_said_to_be_sure() -> None:
     """Of ten elements, of as many joints, the readings tell of the first two little but the sum, and the last six are
     nothing; 200 drawn recordings. One of the two often takes all, and its covariance says of the other up to a tenth of

@@ -53,6 +53,7 @@ def _moved(clean: Workspace, by: np.ndarray) -> Workspace:
     return prepare(clean.machine, replace(clean.recording, points=points), clean.fit, clean.base)
 
 
+@pytest.mark.long
 def test_three_jumps_are_found_at_their_visits_and_speak_louder_than_one(slipped: Workspace) -> None:
     joint, hours = slipped.machine.joint_names[2], slipped.context.hours
     found = [k.moments for k in jumps_of_zeros(slipped) if k.of == joint and not k.hops]
@@ -191,6 +192,7 @@ def test_what_carries_all_reflectors_was_knocked_and_no_joint_is_blamed_for_it(c
     assert (numbers["dx"]["unit"], numbers["turned_y"]["unit"]) == ("m", "rad")
 
 
+@pytest.mark.long
 def test_joints_that_are_homed_anew_are_all_said_and_a_single_zero_by_itself(clean: Workspace) -> None:
     """All zeros of a positioner, others by up to 0.37 mm at the reflectors, were the plate that was knocked for certain
     where only that was asked besides single joints."""

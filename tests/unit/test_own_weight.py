@@ -109,6 +109,7 @@ def test_a_recording_says_whose_weights_bend_a_joint(measured: Measured, tmp_pat
         load_calibration(tmp_path / "cal.json", machine)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("measured", ["beyond", "payload"], indirect=True)  # "own": as in every other recording here
 def test_nothing_is_missing_however_a_machine_s_own_weights_bend_it(measured: Measured) -> None:
     machine, recording, bent_by = measured

@@ -109,6 +109,7 @@ def test_what_swings_little_in_one_direction_is_told_where_one_looks_in_any(clea
     assert found.finding["covariate"] in ("move_yaw", "move length")
 
 
+@pytest.mark.long
 def test_what_goes_with_two_joints_last_moves_is_no_scatter_though_it_looks_so(tmp_path: Path) -> None:
     machine, recording = clean_case(60533, "pps", 120, 100, tmp_path)
     clean = prepare(machine, recording, np.ones(len(recording), dtype=bool))

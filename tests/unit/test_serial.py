@@ -77,6 +77,7 @@ def wandering(space: Workspace) -> tuple[Tried, list[Found]]:
     return tried, found
 
 
+@pytest.mark.long
 def test_what_such_noise_says_as_well_is_dropped(clean: Workspace) -> None:
     """In four of ten recordings of such noise a base that wanders says 4 to 5 of log evidence, which signs of visits
     take for one in ten thousand; these four."""

@@ -319,6 +319,7 @@ def test_what_acts_on_several_frames_is_read_in_one_and_not_between_reflectors(r
         assert found[which].frame in where
 
 
+@pytest.mark.long
 def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     answer = _diagnosed(rig).answer | {"verdict": "consistent", "findings": [], "checks": before_and_after(rig.space)}
     odd = ["no column time: hours are <made up>"]
@@ -331,6 +332,7 @@ def test_a_page_that_found_nothing_says_so(rig: Rig) -> None:
     assert "What was found" not in page
 
 
+@pytest.mark.long
 def test_a_page_whose_only_finding_is_a_mistake_of_the_recording_blames_no_model(rig: Rig) -> None:
     """It opened with "The model leaves something out" (a reviewer's)."""
     mistake = Mistake("Fx … Fz", 1e3, "is in kilonewtons, expected newtons", 40.0, 0.04).finding()

@@ -176,6 +176,7 @@ def test_what_other_payloads_under_one_label_may_be_is_no_sure_error_of_the_sens
     assert not surely_misread(others)
 
 
+@pytest.mark.long
 def test_what_readings_surely_show_is_found_whatever_deflections_say(space: Workspace) -> None:
     """Of a sensor whose Fx was 300 N off nothing was said, as the base model's compliances had made up for it."""
     there = replace(space, context=reading(space.context, leak(space.recording)))
@@ -217,6 +218,7 @@ def test_an_error_of_the_sensor_that_readings_surely_show_is_not_given_up(
     assert [f.name for f in found] == [name if sure else ("nameless", None)]
 
 
+@pytest.mark.long
 def test_rivals_without_a_name_are_not_weighed_against_the_readings(
     space: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,6 +55,7 @@ def _sensor_gain(space: Workspace) -> float:
     return found
 
 
+@pytest.mark.long
 def test_a_stiffness_is_described_beside_free_compliances_and_predicts_beside_those_expected(tmp_path: Path) -> None:
     """Held back, compliances make too much or too little of it; free, they predicted later visits worse than a
     calibration without it (sealed 43041, 43064)."""
@@ -105,6 +106,7 @@ def test_a_link_of_no_length_is_not_one_that_may_grow(space: Workspace) -> None:
     assert {column.args["joint"] for column in found.near} == {0, 2, 3, 4, 5}
 
 
+@pytest.mark.long
 def test_a_weight_that_the_file_leaves_out_is_as_large_as_it_is(space: Workspace) -> None:
     """The compliances of the base fit have part of it: by them it was a tenth too small."""
     machine, recording, model = space.machine, space.recording, space.base.model
@@ -131,6 +133,7 @@ def test_what_moved_at_a_moment_stood_before_it_where_the_machine_file_has_it(sp
     assert all(column.args["since"] > 0 for column in near_forms(space.context, always))  # its own is not near it
 
 
+@pytest.mark.long
 def test_a_visit_that_saw_nothing_is_still_what_went_before_the_next(tmp_path: Path) -> None:
     """Every eighth beam was lost: where the joints had been is known all the same. None of them counts as a visit."""
     machine, recording = clean_case(60533, "pps", 120, 96, tmp_path)
@@ -192,6 +195,7 @@ def test_a_wave_that_was_found_is_sought_between_its_neighbours_too(space: Works
     assert fine > 1.05 * coarse
 
 
+@pytest.mark.long
 def test_a_band_of_waves_across_a_joint_is_searched_for_a_single_one(space: Workspace) -> None:
     c, k = space.context, space.machine.joint_names.index("j4")
     across = next(
@@ -255,6 +259,7 @@ def test_log_evidence_is_the_ratio_of_two_normal_likelihoods(space: Workspace) -
     assert few.log_evidence() == pytest.approx(both[0] - both[1], abs=1e-5)
 
 
+@pytest.mark.long
 def test_a_form_s_evidence_is_its_likelihood_averaged_over_three_sizes(space: Workspace) -> None:
     """Of sixty visits, by the covariances themselves: of forms of one column, of three and of five."""
     few = space.with_fit(np.arange(len(space.recording)) < 60)
@@ -617,6 +622,7 @@ def test_a_frame_s_load_is_a_column_as_it_is_was_and_lags_and_is_said_in_the_rec
     assert np.allclose(powers[0].value(c), (3 * scaled**2 - 1) / 2)  # Legendre's second
 
 
+@pytest.mark.long
 def test_what_depends_on_a_load_that_no_sensor_read_is_said_to_depend_on_positions(space: Workspace) -> None:
     """Own weight acts there; and whatever is said is a column of the recording."""
     recording = replace(space.recording, wrench=np.zeros_like(space.recording.wrench), has_wrench=False)

@@ -498,6 +498,7 @@ def test_a_small_jump_as_a_reflector_is_knocked_is_left_of_the_knock(space: Work
     assert caster_of(tried, there, 500.0, [found]) is None
 
 
+@pytest.mark.long
 def test_what_a_sensor_misreads_is_not_left_of_a_creep_a_hundred_times_as_loud(space: Workspace) -> None:
     """What the form of an effect leaves is at the effect's own place, as a function of the load there."""
     some = named(space, "creep", "wrench_error") + [k for k in named(space, "nameless") if k.frame in (None, NAME)]
@@ -801,6 +802,7 @@ def test_creep_of_a_whole_rail_a_hundred_times_more_quiet_is_what_a_wandering_ba
     assert caster_of(tried, whole["pitch"], 8.0, [found]) is None
 
 
+@pytest.mark.long
 def test_what_another_joint_does_over_its_position_is_no_shadow_of_what_leaves_nothing_at_its_own_place(
     space: Workspace,
 ) -> None:
@@ -841,6 +843,7 @@ def test_a_gear_that_wobbles_or_wears_along_its_travel_leaves_nothing_beside_its
     assert [f.name for f in found] == [("periodic_transmission", NAME)]
 
 
+@pytest.mark.long
 def test_what_goes_with_a_load_that_never_changes_is_no_column_beside_a_name(space: Workspace) -> None:
     """The rail at the bottom bears all of the machine, and no patient here."""
     recording = replace(space.recording, wrench=np.zeros_like(space.recording.wrench), has_wrench=False)
@@ -895,6 +898,7 @@ def test_what_moves_in_two_directions_is_one_finding_that_says_both_and_the_size
     assert finding(there, tried, first)["rms_mm"] < 0.9 * said["rms_mm"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("off", "found"), [(1e-5, []), (1.2e-4, [("target_moved", None)])])
 def test_reflectors_are_where_the_file_has_them_as_well_as_anybody_measures_that(
     space: Workspace, off: float, found: list[tuple[str, str | None]]

@@ -51,6 +51,7 @@ def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_i
     assert np.quantile(at, 0.3) < said["knee_load"]["value"] < np.quantile(at, 0.7)
 
 
+@pytest.mark.long
 def test_a_link_that_the_file_has_rigid_may_give_way_out_of_proportion(space: Workspace) -> None:
     """It was a clearance for certain (another author's): stiffness was asked of links that the file lets bend alone."""
     joint = space.machine.joint_names.index("yaw")
@@ -66,6 +67,7 @@ def test_a_link_that_the_file_has_rigid_may_give_way_out_of_proportion(space: Wo
     assert said["compliance1"]["unit"] == "rad/(N m)"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "component", "way"), [("longitudinal", 3, 3), ("pitch", 4, 4), ("pitch", 4, 5)])
 def test_what_a_rigid_link_does_in_proportion_to_its_load_is_no_stiffness_out_of_proportion(
     space: Workspace, name: str, component: int, way: int
@@ -85,6 +87,7 @@ def test_what_a_rigid_link_does_in_proportion_to_its_load_is_no_stiffness_out_of
     assert best_of(tried, found).columns == (load,)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("below", [0.26, 0.44, 0.66])
 def test_a_joint_that_falls_at_a_load_which_never_changes_sign_is_told_from_the_next_one(
     space: Workspace, below: float
@@ -117,6 +120,7 @@ def test_what_goes_on_across_a_load_has_rivals_without_a_name_too(space: Workspa
     assert {f.name for f in found} == {("nameless", None)}
 
 
+@pytest.mark.long
 def test_what_a_joint_does_across_its_load_makes_up_for_nothing_along_it(space: Workspace) -> None:
     """Stiffening that is not the same both ways was a clearance of 0.95 (another author's 37016): its near forms across
     the load said 39 of log evidence, where rivals go along it."""
@@ -129,6 +133,7 @@ def test_what_a_joint_does_across_its_load_makes_up_for_nothing_along_it(space: 
     assert {f.name for f in found} == {("nameless", None)}
 
 
+@pytest.mark.long
 def test_a_gap_that_widens_along_a_travel_is_one_effect(space: Workspace) -> None:
     joint = space.machine.joint_names.index("yaw")
     about = "yaw", "rx", "Mx"
@@ -182,6 +187,7 @@ def test_a_few_visits_beyond_zero_are_enough_to_ask_for_a_fall(space: Workspace,
     assert bool(at_zero) is falls
 
 
+@pytest.mark.long
 def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_change_of_sides_is_clearance(
     space: Workspace,
 ) -> None:
@@ -197,6 +203,7 @@ def test_slack_that_a_load_takes_up_little_by_little_is_stiffness_and_an_abrupt_
         assert (said["load_width"]["value"], said["load_width"]["unit"]) == (own["width"] * spread, "N m")
 
 
+@pytest.mark.long
 def test_a_side_that_is_held_until_a_load_pushes_it_over_is_no_stiffness_where_clearance_is_left_out(
     space: Workspace,
 ) -> None:
@@ -229,6 +236,7 @@ def test_widths_that_hold_a_side_are_finer_by_a_load_that_something_goes_with(sp
     assert widths[0] <= min(coarse)[0] < max(coarse)[0] <= widths[-1]
 
 
+@pytest.mark.long
 def test_what_gives_way_at_once_where_its_load_passes_some_value_is_no_stiffness_where_clearance_is_left_out(
     space: Workspace,
 ) -> None:
@@ -242,6 +250,7 @@ def test_what_gives_way_at_once_where_its_load_passes_some_value_is_no_stiffness
     assert [f.name for f in found] == [("clearance", "vertical")]
 
 
+@pytest.mark.long
 def test_what_an_effect_says_in_two_directions_by_its_bare_forms(space: Workspace) -> None:
     """Near forms in every direction make up for a form that is not what acts: a joint that gives way in proportion, its
     name taken out, was clearance by 2,169 in one direction, 3,328 in both and 4,527 with near forms, where seats that
@@ -260,6 +269,7 @@ def test_what_an_effect_says_in_two_directions_by_its_bare_forms(space: Workspac
     assert not len(there.taken_prior)  # nothing stays taken up
 
 
+@pytest.mark.long
 def test_a_side_that_loads_of_several_sizes_push_over_is_clearance(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     there = space
@@ -270,6 +280,7 @@ def test_a_side_that_loads_of_several_sizes_push_over_is_clearance(space: Worksp
     assert [f.name for f in found] == [("clearance", "longitudinal")]
 
 
+@pytest.mark.long
 def test_where_no_load_has_pushed_a_loose_joint_over_yet_it_may_lie_on_either_side(space: Workspace) -> None:
     """By the sign of a first load of 0.04 N m it lay on the wrong one for 14 visits, which were structure over the load
     (a concealed machine's 22)."""
@@ -291,6 +302,7 @@ def test_where_no_load_has_pushed_a_loose_joint_over_yet_it_may_lie_on_either_si
     assert tried.candidates[found[0].best].columns[0].args["start"] == -np.sign(load[0])
 
 
+@pytest.mark.long
 def test_clearance_and_stiffness_of_one_load_at_one_place_are_not_without_a_name(space: Workspace) -> None:
     """The two pull against each other, so that no form of either is both."""
     k = space.machine.joint_names.index("longitudinal") + 1
@@ -302,6 +314,7 @@ def test_clearance_and_stiffness_of_one_load_at_one_place_are_not_without_a_name
     assert {f.name[0] for f in found} <= {"clearance", "nonlinear_stiffness"}
 
 
+@pytest.mark.long
 def test_what_a_loud_clearance_is_is_not_taken_for_what_a_quiet_one_of_the_next_link_may_be_like(
     space: Workspace,
 ) -> None:
@@ -376,6 +389,7 @@ def test_a_joint_that_its_bodies_bend_otherwise_than_the_payload_says_by_which_s
     assert (share["unit"], share["value"]) == ("1", pytest.approx(4.0, rel=0.3))  # the base model takes the most of it
 
 
+@pytest.mark.long
 def test_creep_of_the_only_link_that_bends_is_that_link_s_and_hardly_every_link_s(space: Workspace) -> None:
     """Both are the same there. Of forty creeps of eleven authors none was every link's."""
     joint = space.machine.joint_names.index("pitch")
@@ -390,6 +404,7 @@ def test_creep_of_the_only_link_that_bends_is_that_link_s_and_hardly_every_link_
     assert said["creep", "pitch"] - said["creep", None] > 2.0
 
 
+@pytest.mark.long
 def test_creep_may_have_a_fast_and_a_slow_rate_and_says_both(space: Workspace) -> None:
     k = space.machine.joint_names.index("longitudinal") + 1
     where = {"frame": k, "component": 3, "form": "total"}
@@ -420,6 +435,7 @@ def followed(
     return out
 
 
+@pytest.mark.long
 def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one_finding(space: Workspace) -> None:
     """Another author's positioner had creep of two rails, and a drift (0.86 and 0.53): of the one that creeps the base
     calibration had little compliance, so that no share of what it has was like it."""
@@ -453,6 +469,7 @@ def test_a_link_that_the_file_has_rigid_may_creep(space: Workspace) -> None:
     assert 0.25 < best_of(tried, found[0]).shape["tau_h"] < 1.0
 
 
+@pytest.mark.long
 def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspace) -> None:
     """Creep was not thought of without a column load: another author's arm had structure over a moment, and scatter."""
     nobody = replace(space.recording, load=("",) * len(space.recording))
@@ -466,6 +483,7 @@ def test_a_link_creeps_though_nobody_wrote_down_which_load_it_was(space: Workspa
     assert best_of(tried, found[0]).columns[0].args["form"] in ("wrench", "total")
 
 
+@pytest.mark.long
 def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space: Workspace) -> None:
     k, c = space.machine.joint_names.index("longitudinal") + 1, space.context
     moment = c.wrenches[:, k, 3]
@@ -478,6 +496,7 @@ def test_creep_may_begin_with_the_recording_where_nothing_had_hung_before(space:
     assert "compliance_at_first" in numbers_of(space.context, candidate, np.ones(2), np.eye(2))
 
 
+@pytest.mark.long
 def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_the_sensor(space: Workspace) -> None:
     c, load = space.context, np.array(space.recording.load)
     block = np.concatenate([[0], np.cumsum(load[1:] != load[:-1])])
@@ -494,6 +513,7 @@ def test_a_sensor_that_is_tared_at_every_change_of_the_load_and_never_quite_is_t
     assert sum(name.startswith("My_zero_step_after_") for name in said) == block.max()
 
 
+@pytest.mark.long
 def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_how_much_a_kelvin(
     space: Workspace,
 ) -> None:
@@ -510,6 +530,7 @@ def test_a_sensor_whose_gain_goes_with_a_temperature_is_the_sensor_and_says_by_h
     assert said["gain_per_kelvin_air_0_h"]["unit"] == "1/K"
 
 
+@pytest.mark.long
 def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: Workspace) -> None:
     c = space.context
     sided = c.recording.wrench.copy()
@@ -526,6 +547,7 @@ def test_a_sensor_with_another_gain_for_pull_than_for_push_is_the_sensor(space: 
     assert set(said) == {"My_by_My", "My_by_My_sided"}
 
 
+@pytest.mark.long
 def test_a_force_sensor_that_was_never_tared_is_one_error_of_all_its_channels(space: Workspace) -> None:
     off = np.array([-30.0, 40.0, 25.0, 15.0, -9.0, 12.0])  # N, N m
     zeros = [Column("frames", "sensor_error", {"component": comp}).evaluate(space.context) for comp in range(6)]
@@ -582,6 +604,7 @@ def test_a_link_that_creeps_by_the_weight_alone_is_creep_of_it(space: Workspace)
     assert said["compliance_by_weight"]["value"] == pytest.approx(size, rel=0.2)
 
 
+@pytest.mark.long
 def test_what_no_payload_weighs_has_no_other_s_name(tared_anew: Workspace) -> None:
     c = tared_anew.context
     some = [k for k in library(c) if k.effect in ("nonlinear_stiffness", "thermal_growth", "clearance")]
@@ -595,6 +618,7 @@ def test_a_sensor_that_only_has_noise_is_not_asked_what_no_payload_weighs(space:
     assert weighed(space.context) is None
 
 
+@pytest.mark.long
 def test_a_link_that_is_softer_over_a_stretch_of_its_travel_lacks_a_compliance_there(space: Workspace) -> None:
     """A loose bolt: where the load goes with another joint's place it was a coupling, for certain (another author's
     38032)."""
@@ -634,6 +658,7 @@ def test_a_bearing_that_is_softer_one_way_of_its_housing_lacks_a_compliance_that
     assert "more in one direction of its housing than across it" in finding(there, tried, found[0])["sentence"]
 
 
+@pytest.mark.long
 def test_a_floor_that_gives_way_to_the_machine_alone_is_a_moving_weight_of_the_base(tmp_path: Path) -> None:
     """It was the base's missing compliance, which the payload would bend as well (another author's 38013)."""
     machine, recording = clean_case(60534, "arm6", 240, 180, tmp_path)
@@ -650,6 +675,7 @@ def test_a_floor_that_gives_way_to_the_machine_alone_is_a_moving_weight_of_the_b
     assert said["sentence"].startswith("the floor or the base tilts as the machine's own weight moves over it (")
 
 
+@pytest.mark.long
 def test_a_last_link_that_gives_way_in_several_directions_lacks_a_compliance(tmp_path: Path) -> None:
     """Under one force reflectors that moved each by itself said more than one direction did (a forty-eighth author's
     060)."""
@@ -711,6 +737,7 @@ def test_a_load_that_something_goes_with_is_tried_between(
     assert fine > coarse + more
 
 
+@pytest.mark.long
 def test_a_finer_grid_has_no_greater_share(space: Workspace) -> None:
     """Of one load that is tried finely; by the others both are tried as they were."""
 
@@ -745,6 +772,7 @@ def test_a_slow_creep_may_be_four_or_sixteen_times_as_slow_as_the_fast_one(space
     assert ratios == [{8}, {4, 8, 16}]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turns", [False, True])
 def test_what_pulls_besides_gravity_and_bends_the_machine_is_no_error_of_the_sensor(
     space: Workspace, tared_anew: Workspace, turns: bool
@@ -771,6 +799,7 @@ def test_what_pulls_besides_gravity_and_bends_the_machine_is_no_error_of_the_sen
     assert search(read, tried, np.random.default_rng(0)) == []
 
 
+@pytest.mark.long
 def test_moments_about_another_point_than_the_files_say_where_that_is(space: Workspace) -> None:
     """They were structure over a force: no form had a point of its own (a reviewer's)."""
     about = np.array([0.4, -0.2, 0.3])

@@ -91,6 +91,7 @@ def test_a_gap_is_said_as_if_all_of_it_were_play(space: Workspace) -> None:
     assert gap["value"] == pytest.approx(-2 * half, abs=3 * gap["std"])
 
 
+@pytest.mark.long
 def test_a_gap_that_a_load_takes_up_is_play_and_says_by_how_much(space: Workspace) -> None:
     k, own = space.machine.joint_names.index(NAME), own_component(space.context, space.machine.joint_names.index(NAME))
     held = np.abs(space.context.wrenches[:, k + 1, own])
@@ -294,6 +295,7 @@ def test_what_is_taken_up_within_a_hundredth_of_the_travel_is_play_between_soft_
     assert {"gap", "width"} <= set(finding(there, tried, found[0])["parameters"])
 
 
+@pytest.mark.long
 def test_what_is_taken_up_over_far_more_than_could_be_lost_is_no_play(space: Workspace) -> None:
     """Walls of rubber give way by some gaps; a hundredth of a rail's travel is hundreds of them."""
     k = space.machine.joint_names.index("longitudinal")
@@ -375,6 +377,7 @@ def test_what_a_joint_loses_is_known_from_an_earlier_look(space: Workspace) -> N
     assert _lost(there, tried, found) == {NAME: pytest.approx(2 * half, rel=0.15)}
 
 
+@pytest.mark.long
 def test_what_is_known_to_be_lost_says_what_walls_may_give_way_by(space: Workspace) -> None:
     """A hundred times what it loses is friction that winds up, unless it is over in a five-hundredth of the travel."""
     within, briefly = 0.01 * travel_of(space), 0.002 * travel_of(space)
@@ -391,6 +394,7 @@ def test_what_is_known_to_be_lost_says_what_walls_may_give_way_by(space: Workspa
     assert called(briefly / 8, briefly) == {"backlash"}
 
 
+@pytest.mark.long
 def test_what_pulls_sideways_with_the_approach_is_no_lost_motion(space: Workspace) -> None:
     """A cable: the joint itself is where its encoder says."""
     k = space.machine.joint_names.index("vertical")

@@ -36,6 +36,7 @@ def test_a_wave_s_amplitude_is_its_own_where_it_has_harmonics(space: Workspace) 
     assert cosine.args["phase"] == "cos"
 
 
+@pytest.mark.long
 def test_how_unsure_base_model_and_effect_are_is_that_of_a_fit_of_both_at_once(
     space: Workspace, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -127,6 +127,7 @@ def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     assert (best.covariates, best.columns[0].function) == (("q_longitudinal",), "splice")
 
 
+@pytest.mark.long
 def test_a_rail_that_sags_between_its_posts_gives_way_by_its_position_and_is_no_wave_or_coupling(
     space: Workspace,
 ) -> None:
@@ -160,6 +161,7 @@ def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> No
     assert (best.frame, best.component) == (space.machine.frame_names[3], "ry")
 
 
+@pytest.mark.long
 def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Workspace) -> None:
     """Ten waves over the travel, steep on one side."""
     joint = space.machine.joint_names.index(NAME)
@@ -173,6 +175,7 @@ def test_the_bumps_of_a_track_are_no_coupling_where_no_wave_has_a_name(space: Wo
     assert best_of(tried, found[0]).covariates == (f"q_{NAME}",)
 
 
+@pytest.mark.long
 def test_a_coupling_by_waves_keeps_its_name_beside_any_function_of_the_two(space: Workspace) -> None:
     a, b = (space.machine.joint_names.index(name) for name in ("longitudinal", "yaw"))
     period = float(np.ptp(space.recording.q[:, a])) / 1.3
@@ -197,6 +200,7 @@ def test_a_coupling_of_high_order_says_no_more_in_a_corner_of_both_travels_than_
             assert abs(values[0]) < 4 * np.sqrt((here**2).mean())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", ["Fz", "Mx"])
 def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load(space: Workspace, load: str) -> None:
     """Each reflector moves its own way, in proportion to what the sensor read."""
@@ -210,6 +214,7 @@ def test_an_end_effector_that_bends_under_its_load_is_unexplained_over_that_load
     assert best_of(tried, found[0]).covariates == (load,)
 
 
+@pytest.mark.long
 def test_a_plate_that_warps_under_its_load_whichever_way_it_hangs_is_unexplained_over_the_load(tmp_path: Path) -> None:
     """On an arm, which turns its load over: it was creep, for certain (another author's 61020)."""
     space = prepare(*(case := clean_case(60534, "arm6", 240, 180, tmp_path)), np.ones(len(case[1]), dtype=bool))
@@ -225,6 +230,7 @@ def test_a_plate_that_warps_under_its_load_whichever_way_it_hangs_is_unexplained
     assert best_of(tried, max(found, key=lambda f: f.evidence)).covariates == ("load",)
 
 
+@pytest.mark.long
 def test_a_reflector_whose_mount_gives_way_as_it_is_turned_over_is_said_of_it(tmp_path: Path) -> None:
     """On an arm; the load goes with the attitude too, and a heavier end effector was found beside a function of that
     (another author's 045)."""
@@ -388,6 +394,7 @@ def test_a_resolver_that_a_field_turns_is_unexplained_over_the_field_and_its_joi
     assert (best.frame, set(best.covariates)) == ("lateral", {"cov_magnet_A", "q_lateral"})
 
 
+@pytest.mark.long
 def test_an_encoder_that_is_read_before_its_joint_came_to_rest_is_unexplained_over_how_far_it_was(
     space: Workspace,
 ) -> None:
@@ -459,6 +466,7 @@ def test_a_late_scale_of_an_instrument_that_stands_elsewhere_is_the_scale(space:
     assert said["lag_h"]["value"] == 1.0
 
 
+@pytest.mark.long
 def test_a_base_that_creeps_and_tilts_is_no_growth_of_the_next_link_where_drift_has_no_name(space: Workspace) -> None:
     """Whose six directions by a temperature that rose all day said more than shifts over time (a sixty-third
     author's)."""
@@ -476,6 +484,7 @@ def test_a_base_that_creeps_and_tilts_is_no_growth_of_the_next_link_where_drift_
     assert best.columns not in [each.columns for each in nameless(c)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("elsewhere", [0.0, 3.0])
 def test_a_scale_that_is_another_one_from_some_moment_on_is_the_scale_and_says_when(
     space: Workspace, elsewhere: float
@@ -532,6 +541,7 @@ def test_what_shifts_with_the_air_is_a_scale_only_where_distances_grow_too(
     assert found
 
 
+@pytest.mark.long
 def test_a_rail_that_jumps_between_any_two_visits_or_twice_has_no_name_where_jumps_have_none(space: Workspace) -> None:
     """Drift between the same visits, in any direction, would fit as well, with more columns (other authors' cases)."""
     k = space.machine.joint_names.index("longitudinal")
@@ -576,6 +586,7 @@ def test_a_joint_that_stood_at_a_few_places_has_no_waves_that_could_be_told_apar
     assert waving(few) == [names - {"yaw"} for names in waving(space.context)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tau", [0.0, 0.5])
 def test_a_scale_that_follows_the_air_late_is_no_growth_where_scales_have_no_name(space: Workspace, tau: float) -> None:
     """It was of the first rails (another author's 37059): growth lags, space that is stretched did not."""
