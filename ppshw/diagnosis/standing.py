@@ -403,20 +403,33 @@ def _bends_as_it_needs(tried: Tried, f: Found, pieces: Sequence[Found]) -> bool:
 
 def _has_no_period(tried: Tried, f: Found, own: float, others: list[Found], pieces: Sequence[Found]) -> bool:
     """Whether a wave leaves bands of waves over its position, in its component: an error of a joint that is any
-    function of its position has a strongest wave, and about as much at other periods. The others are then taken up.
+    function of its position has a strongest wave, and about as much at other periods. Where one more wave says more
+    than they do what is left is that of a second wheel, and they are asked beside both. The others are then taken up.
 
     own  what the wave says by its bare form
     """
     mine, space = tried.candidates[f.best], tried.space
     if mine.effect != "periodic_transmission":
         return False
-    take_up(space, tried, [*others, *pieces, _without_more(f)])
-    evidence = tried.said()[0]
+    rivals = [k for k, c in enumerate(tried.candidates) if c.effect == "nameless" and of_its_kind(mine, c)]
+    waves = [k for k, c in enumerate(tried.candidates) if c.effect == mine.effect and same_place(c, mine)]
+    alone = _without_more(f)
+
+    def said(wave: Found) -> tuple[float, int, float]:
+        """What bands say beside it; the strongest further wave, and what this says of all that were tried."""
+        take_up(space, tried, [*others, *pieces, wave])
+        evidence = tried.said()[0]
+        second = waves[int(np.argmax(evidence[waves] + tried.log_share[waves]))]
+        by_bands = float(logsumexp(evidence[rivals])) - math.log(len(rivals))
+        return by_bands, second, float(logsumexp(evidence[waves] + tried.log_share[waves]))
+
+    most, left = max(IN_BANDS, IN_BANDS_OF_LOUD * own), -math.inf
+    if rivals:
+        left, second, by_waves = said(alone)
+        if left > most and by_waves > left + AHEAD:
+            left = said(replace(alone, more=tried.candidates[second].columns, size=0.0))[0]
     take_up(space, tried, others)
-    rivals = (k for k, c in enumerate(tried.candidates) if c.effect == "nameless" and of_its_kind(mine, c))
-    bands = [float(evidence[k]) for k in rivals]
-    most = max(IN_BANDS, IN_BANDS_OF_LOUD * own)
-    return bool(bands) and float(logsumexp(bands)) - math.log(len(bands)) > most
+    return left > most
 
 
 def _left_by(tried: Tried, f: Found, g: Found) -> bool:

@@ -111,6 +111,17 @@ def test_a_wave_that_errs_weakly_at_twice_its_period_has_a_period(space: Workspa
     assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(22.0, abs=0.3)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_two_wheels_whose_turns_beat_are_waves(space: Workspace, share: float) -> None:
+    """The second wheel's wave was what any function of the position leaves (a sixty-ninth author's)."""
+    q = space.recording.q[:, space.machine.joint_names.index("longitudinal")]
+    turn = 2 * np.pi * (q - q.min()) / np.ptp(q)
+    there = moved_along(space, "longitudinal", np.sin(22.0 * turn + 0.4) + share * np.sin(27.4 * turn + 1.0), 8.0)
+    found, tried = look(there, ["periodic_transmission", "cross_coupling"], "longitudinal")
+    assert {f.name for f in found} == {("periodic_transmission", "longitudinal")}
+    assert np.ptp(q) / best_of(tried, found[0]).shape["period"] == pytest.approx(22.0, abs=0.3)
+
+
 @pytest.mark.parametrize(("at", "component"), [(0.41, 1), (-0.27, 5)])
 def test_where_one_rail_follows_another_is_unexplained_over_its_joint(
     space: Workspace, at: float, component: int
