@@ -333,6 +333,8 @@ def _per_kelvin(candidate: Candidate, values: Array) -> str:
     if candidate.component is None or len({column.args["place"] for column in candidate.columns}) > 1:
         return ""
     unit = f"{'µrad' if candidate.component.startswith('r') else 'µm'} per kelvin"
+    if "core_lag_h" in candidate.shape:
+        return f" by {values[0] * 1e6:.3g} {unit} above what it was over the last {candidate.shape['core_lag_h']:g} h"
     along = sum(v for v, column in zip(values, candidate.columns, strict=True) if column.function == "temperature_q")
     if along:
         one, other = (f"{v * 1e6:.3g}" for v in (values[0] - along, values[0] + along))

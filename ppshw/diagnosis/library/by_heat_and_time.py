@@ -43,6 +43,11 @@ def thermal(c: Context) -> Iterator[Candidate]:
                 any_way = tuple(Column("frame", "temperature", args, k + 1, comp) for comp in range(6))
                 # bends and shifts, as its own shape has it
                 yield Candidate("thermal_growth", name, name, None, f"temp_{place}_C", any_way, {"lag_h": tau}, 0.2)
+    for place, slow in itertools.product(places, LAGS_H[1:]):  # bends while its skin is warmer than its core
+        for (k, name), comp in itertools.product(moving_joints(c), range(6)):
+            uneven = Column("frame", "temperature", {"place": place, "tau": 0.0, "than": slow}, k + 1, comp)
+            where = ("thermal_growth", name, name, COMPONENTS[comp], f"temp_{place}_C")
+            yield Candidate(*where, (uneven,), {"core_lag_h": slow}, 0.2)
     for (place, other), tau in itertools.product(itertools.combinations(places, 2), LAGS_H):
         for (k, name), comp in itertools.product(moving_joints(c), range(6)):  # bends as one side gets warmer
             sides = tuple(

@@ -22,7 +22,7 @@ from ppshw.diagnosis.search import _as_shadows, _in_one, _of_names, _starts, _wo
 from ppshw.diagnosis.search import _best as best_beside
 from ppshw.diagnosis.shadows import SHADOW, acts_alike, caster_of, same_place
 from ppshw.diagnosis.weights import _also, as_well, grid_of, weigh
-from ppshw.diagnosis.wording import finding
+from ppshw.diagnosis.wording import finding, sentence
 from ppshw.diagnosis.workspace import Workspace, prepare
 from ppshw.terms.shapes import Column
 from tests.unit.search.by_hand import (
@@ -1073,3 +1073,21 @@ def test_a_wave_says_which_other_period_the_places_of_the_visits_hardly_tell_fro
     every[other] += 40.0 - behind
     said = _also(tried, Found(best, tried.name(best), 0.0, 50.0), every)
     assert said == ((f"have a period of {some[other].shape['period']:.3g} rad",) if told else ())
+
+
+@pytest.mark.parametrize("core", [0.8, 1.4])
+def test_a_link_that_bends_while_its_skin_is_warmer_than_its_core_grows(space: Workspace, core: float) -> None:
+    """It was jumps of its joint, or structure over its position and time (two of a seventieth author's)."""
+    joint, c = space.machine.joint_names.index("yaw"), space.context
+    skin, hours = space.recording.temperatures["rail"], c.hours
+    inside = skin.copy()
+    for k in range(1, len(skin)):
+        inside[k] = skin[k] + (inside[k - 1] - skin[k]) * np.exp(-(hours[k] - hours[k - 1]) / core)
+    moved = c.jacobian[:, :, joint + 1, 3] * (skin - inside)[:, None]
+    there = having_read(space, space.data + of_size(space, moved, 3.0))
+    found, tried = look(there, ["thermal_growth", "zero_shift", "drift", "creep"], "yaw")
+    assert [f.name for f in found] == [("thermal_growth", "yaw")]
+    best = best_of(tried, found[0])
+    assert best.covariate == "temp_rail_C"
+    assert best.shape["core_lag_h"] == pytest.approx(core, rel=0.5)
+    assert "above what it was over the last" in sentence(c, best, np.array([1e-5]), 1e-4)
