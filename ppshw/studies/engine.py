@@ -262,7 +262,7 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
             yield client, 0
         return
     count = min(cluster.workers, jobs)
-    share = {"OPENBLAS_NUM_THREADS": "1", "PYTHON_CPU_COUNT": str(max(1, cores() // max(1, count)))}
+    share = {"PYTHON_CPU_COUNT": str(max(1, cores() // max(1, count)))}
     with (
         dask.config.set(settings),
         distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, env=share,
