@@ -113,6 +113,7 @@ def test_a_known_reflector_that_was_knocked_is_no_noise(case: Case, tmp_path: Pa
     assert answer["noise_floor_mm"] < after < before / 1.5  # which is as the base model alone has it
 
 
+@pytest.mark.long
 def test_what_a_recording_lacks_is_not_spoken_of_or_said_to_be_guessed(case: Case, tmp_path: Path) -> None:
     """No wrench and no thermometer: what goes with them is not spoken of. Directions that nobody wrote down are those
     of the moves between visits, and times those of a usual pace, which is said."""

@@ -39,6 +39,7 @@ from tests.unit.search.by_hand import (
 )
 
 
+@pytest.mark.long
 def test_a_name_beside_a_riddle_in_the_same_component_is_none(space: Workspace) -> None:
     """Friction keeps its name while what nobody knows goes on elsewhere."""
     both = moved_by(space, on_joint(space, "slipping", width=0.15 * travel_of(space)), 3.0)
@@ -861,6 +862,7 @@ def test_what_goes_with_a_load_that_never_changes_is_no_column_beside_a_name(spa
         assert np.isfinite(alone.log_evidence())
 
 
+@pytest.mark.long
 def test_play_in_every_drive_is_a_finding_of_each(space: Workspace) -> None:
     """Five were taken up of six, and one was said of the five."""
     c, names = space.context, space.machine.joint_names
@@ -987,6 +989,7 @@ def test_a_scale_about_another_place_may_be_a_scale_and_growth(space: Workspace,
     assert any("growth of" in what for what in found[0].also) != alone
 
 
+@pytest.mark.long
 def test_a_base_that_wanders_and_turns_nearly_as_the_air_warms_is_no_growth(space: Workspace) -> None:
     """It was growth of the first rails for 0.95, and what that left seats of every load (a concealed machine's 36)."""
     hours = space.context.hours - space.context.hours[0]

@@ -35,6 +35,7 @@ from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import best_of, having_read, look, moved_by, named, of_size
 
 
+@pytest.mark.long
 def test_a_link_that_is_stiffer_one_way_is_no_clearance_and_says_at_which_load_it_changes(space: Workspace) -> None:
     frame = space.machine.joint_names.index("lateral") + 1  # whose load takes all values, not a few
     load = space.context.wrenches[:, frame, 3]
@@ -110,6 +111,7 @@ def test_a_joint_that_falls_at_a_load_which_never_changes_sign_is_told_from_the_
     assert abs(said["half_gap"]["value"] - half) < 3.0 * said["half_gap"]["std"] < 1.0 * half
 
 
+@pytest.mark.long
 def test_what_goes_on_across_a_load_has_rivals_without_a_name_too(space: Workspace) -> None:
     """A compliance across its load, changing along the travel, was stiffness of 0.93 (another author's 37014)."""
     joint = space.machine.joint_names.index("longitudinal")
@@ -335,6 +337,7 @@ def test_a_wide_side_goes_with_stiffness_when_stiffness_is_left_out(space: Works
     assert max(widths(frozenset())) > WIDEST_SIDE >= max(widths(frozenset({"nonlinear_stiffness"})))
 
 
+@pytest.mark.long
 def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_clearance(space: Workspace) -> None:
     """Nothing falls against its load: a link that is softer once a preload is lost does, beside a proportional one."""
     frame, component = space.machine.joint_names.index("longitudinal") + 1, 5
@@ -350,6 +353,7 @@ def test_what_gives_way_less_than_in_proportion_falls_with_its_load_or_is_no_cle
         assert [f.name[0] for f in found] == [name]
 
 
+@pytest.mark.long
 def test_a_joint_that_falls_in_proportion_and_no_farther_is_clearance_over_half_of_its_load_s_spread(
     space: Workspace,
 ) -> None:
@@ -453,6 +457,7 @@ def test_a_link_that_creeps_along_each_of_its_loads_by_a_share_of_its_own_is_one
     assert {"compliance_rx_by_Mx", "compliance_rz_by_Mz"} <= set(told)
 
 
+@pytest.mark.long
 def test_a_link_that_the_file_has_rigid_may_creep(space: Workspace) -> None:
     """It was structure over its moment, and a missing compliance beside that (another author's 66048 and 66068)."""
     joint = space.machine.joint_names.index("yaw")
@@ -571,6 +576,7 @@ def tared_anew(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
         return prepare(machine, recording, np.ones(len(recording), dtype=bool))
 
 
+@pytest.mark.long
 def test_a_sensor_that_reads_other_than_what_hangs_there_weighs_is_the_sensor(tared_anew: Workspace) -> None:
     """Fourteen zeros of six channels are 84 numbers by themselves: it was a stiffness (another author's 021)."""
     c = tared_anew.context

@@ -44,6 +44,7 @@ def test_play_is_not_called_friction_where_play_is_not_in_the_library(space: Wor
     assert [f.name for f in found] == [("backlash", NAME)]
 
 
+@pytest.mark.long
 def test_play_that_rocks_is_no_friction_that_does_where_play_is_not_in_the_library(space: Workspace) -> None:
     """Two other authors' (65056 and 66047): their hysteresis without a name kept to its own direction."""
     own = on_joint(space, "approach")
@@ -248,6 +249,7 @@ def test_play_that_the_base_model_takes_whole_is_not_asked_beside_friction(space
     assert [f.name for f in search(there, tried, np.random.default_rng(0))] == [("friction_hysteresis", NAME)]
 
 
+@pytest.mark.long
 def test_friction_that_lets_go_in_a_joint_that_rests_is_no_play(space: Workspace) -> None:
     """Bristles that creep back within a quarter of an hour were play of 2.5e-4 rad (another author's 52010)."""
     c, k = space.context, space.machine.joint_names.index(NAME)

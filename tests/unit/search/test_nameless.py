@@ -25,6 +25,7 @@ from tests.unit.clean_case import clean_case
 from tests.unit.search.by_hand import NAME, best_of, having_read, look, moved_along, moved_by, named, of_size
 
 
+@pytest.mark.long
 def test_what_a_link_does_with_the_air_and_another_joint_s_position_has_no_name(space: Workspace) -> None:
     k, other = (space.machine.joint_names.index(name) for name in ("vertical", "yaw"))
     air, q = space.recording.temperatures["air"], space.recording.q[:, other]
@@ -64,6 +65,7 @@ def test_a_carriage_that_floats_up_as_it_moves_and_sinks_while_it_stands_is_unex
     assert "late_0.04_pace_lateral" in best_of(tried, found[0]).covariates
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "about", "size"), [(0.06, -0.3, 3e-4), (0.1, 0.1, 3e-4), (0.06, 0.1, 1e-3)])
 def test_a_dent_is_no_period_however_many_waves_make_it(
     space: Workspace, width: float, about: float, size: float
@@ -161,6 +163,7 @@ def test_a_rail_that_sags_between_its_posts_gives_way_by_its_position_and_is_no_
     assert " in waves of " in said["sentence"]
 
 
+@pytest.mark.long
 def test_what_the_pose_before_does_is_found_at_any_frame(space: Workspace) -> None:
     """Wherever it turns, with the column that it depends on and at its own place."""
     bend = {"name": f"previous_q_{NAME}", "knot": 3, "count": 5}
@@ -389,6 +392,7 @@ def test_a_floor_that_tilts_and_sinks_under_a_crane_is_unexplained_over_the_cran
     assert {column.component for column in best.columns} == set(range(6))
 
 
+@pytest.mark.long
 def test_a_resolver_that_a_field_turns_is_unexplained_over_the_field_and_its_joint(space: Workspace) -> None:
     """In proportion to a magnet's current and in a wave over the travel: jumps of a zero (another author's 54009)."""
     k = space.machine.joint_names.index("lateral")
@@ -612,7 +616,7 @@ def test_what_lags_stretches_lengths_alone_and_shifts_are_growth_too(space: Work
     """From afar sheared space is a shift: growth that lags had lost its name to that (another author's 38026)."""
     late = [k for k in named(space, "nameless") if (k.covariate or "").startswith("distance × late_")]
     assert {column.function for k in late for column in k.columns} == {"scale", "temperature"}
-    of_air = [k for k in named(space, "thermal_growth") if k.covariate == "temp_air_C" and k.shape["lag_h"] == 0.5]
+    of_air = [k for k in named(space, "thermal_growth") if k.covariate == "temp_air_C" and k.shape.get("lag_h") == 0.5]
     shift = next(k for k in of_air if (k.joint, k.component) == ("lateral", "tz"))
     turn = next(k for k in of_air if (k.joint, k.component) == ("lateral", "rz"))
     link = next(
