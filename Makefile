@@ -13,7 +13,7 @@ demo: env
 test: lint
 	$(MAKE) --jobs=2 unit types layers
 
-# What `make test` leaves out to stay under ten minutes on two cores: further cases of a diagnosis, seconds each.
+# What `make test` leaves out to take about ten minutes on two cores: further cases of a diagnosis, seconds each.
 test-long: env
 	$(UNIT) -m long
 
