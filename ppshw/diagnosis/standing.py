@@ -419,9 +419,9 @@ def _has_no_period(tried: Tried, f: Found, own: float, others: list[Found], piec
         """What bands say beside it; the strongest further wave, and what this says of all that were tried."""
         take_up(space, tried, [*others, *pieces, wave])
         evidence = tried.said()[0]
-        second = waves[int(np.argmax(evidence[waves] + tried.log_share[waves]))]
         by_bands = float(logsumexp(evidence[rivals])) - math.log(len(rivals))
-        return by_bands, second, float(logsumexp(evidence[waves] + tried.log_share[waves]))
+        by_waves = evidence[waves] + tried.log_share[waves]
+        return by_bands, waves[int(np.argmax(by_waves))], float(logsumexp(by_waves))
 
     most, left = max(IN_BANDS, IN_BANDS_OF_LOUD * own), -math.inf
     if rivals:
